@@ -153,8 +153,10 @@ def table(fleets: pl.DataFrame) -> str:
         ),
     ]
     lines = [f"| {a} | {b} | {c} |" for a, b, c in rows]
-    note = f"{fleets.height} fleets, {metered.height} with a ram outlet sensor on some aircraft / {blind.height} without any."
-    return "\n".join([note, "", "| measure | goal | measured |", "| --- | --- | ---: |", *lines])
+    note = (
+        f"{fleets.height} fleets, {metered.height} with a ram outlet sensor on some aircraft / {blind.height} without"
+    )
+    return "\n".join([f"{note} any.", "", "| measure | goal | measured |", "| --- | --- | ---: |", *lines])
 
 
 def main() -> None:

@@ -1,1 +1,1 @@
-"""A shadow trial: what is said each night is sealed before outcomes are known, and one page says how it went."""
+"""Shadow trial: each night's alerts are sealed before outcomes are known and evaluated on one page."""

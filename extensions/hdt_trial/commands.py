@@ -10,7 +10,9 @@ import typer
 
 from pipelines.cli.base import AsJson, HomeDir, StopError, app, err, home_folder, out
 
-trial = typer.Typer(no_args_is_help=True, help="Seal what each night says, and tell how it went.")
+trial = typer.Typer(
+    no_args_is_help=True, help="Record each night's alerts and prognoses tamper-evidently and evaluate them."
+)
 app.add_typer(trial, name="trial")
 
 
@@ -34,12 +36,12 @@ def start_trial(
         return
     with _one_writer(home) as where:
         entry = start(where, declaration.read_text("utf-8") if declaration else DEFAULT)
-    out.print(f"Trial started. Keep this digest outside of the house: {entry.digest}", soft_wrap=True)
+    out.print(f"Trial started. Store this digest outside your organisation: {entry.digest}", soft_wrap=True)
 
 
 @trial.command("seal")
 def seal_trial(home: HomeDir = None) -> None:
-    """Seal what is said now.
+    """Seal the current alerts and prognoses.
 
     `hdt nightly` does so by itself, at its end.
     """
@@ -59,7 +61,7 @@ def take_outcomes(
     file: Annotated[Path, typer.Argument(help="CSV: operator, tail, pack, component, at, kind, finding, reference.")],
     home: HomeDir = None,
 ) -> None:
-    """Seal outcomes that stand in no log: shop findings, removals, messages.
+    """Seal outcomes missing from the logs: shop findings, removals, messages.
 
     Kind is MESSAGE, REPLACED or INSPECTED.
     """
@@ -74,7 +76,7 @@ def take_outcomes(
 def stamp_trial(home: HomeDir = None) -> None:
     """Write a request for an RFC 3161 time stamp of the last entry.
 
-    Its answer is laid beside it; `hdt trial verify --authority` checks it.
+    Store the reply beside it; `hdt trial verify --authority` checks it.
     """
     from hdt_trial.log import entries
     from hdt_trial.seal import log_folder
@@ -85,7 +87,7 @@ def stamp_trial(home: HomeDir = None) -> None:
         if not (log := entries(folder)):
             raise StopError("no trial was started here; `hdt trial start` does")
         target = request(folder, log[-1])
-    out.print(f"{target}; lay the authority's answer beside it as {target.with_suffix('.tsr').name}", soft_wrap=True)
+    out.print(f"{target}; store the authority's reply beside it as {target.with_suffix('.tsr').name}", soft_wrap=True)
 
 
 @trial.command("verify")
@@ -93,16 +95,14 @@ def verify_trial(
     home: HomeDir = None,
     digest: Annotated[
         list[str] | None,
-        typer.Option(help="A digest that was printed and kept elsewhere; may be given more than once."),
+        typer.Option(help="Digest printed earlier and stored elsewhere; may be repeated."),
     ] = None,
-    head: Annotated[
-        str | None, typer.Option(help="The digest that was printed last: the log must end with it.")
-    ] = None,
+    head: Annotated[str | None, typer.Option(help="Digest printed last; the log must end with it.")] = None,
     authority: Annotated[Path | None, typer.Option(help="Certificate of the time stamps' authority, PEM.")] = None,
 ) -> None:
-    """Prove that nothing sealed was changed, added or cut off.
+    """Verify that no sealed entry was changed, added or removed.
 
-    Exit code 1 if something was. Without a digest from outside a whole new log can't be told from the old one.
+    Exit code 1 if one was. A log that was replaced as a whole is detected only with a digest stored elsewhere.
     """
     from hdt_trial.log import entries, faults
     from hdt_trial.seal import log_folder
@@ -122,9 +122,11 @@ def verify_trial(
     outside = [e.number for e in log if e.digest in [d.lower() for d in (*(digest or ()), head or "")]]
     outside += [int(s.stem) for s in stamps(folder)] if authority else []
     proof = (
-        f"up to entry {max(outside)} by what was kept outside" if outside else "by nothing from outside: give --digest"
+        f"up to entry {max(outside)} by digests stored elsewhere"
+        if outside
+        else "by no digest stored elsewhere: give --digest"
     )
-    out.print(f"{len(log)} entries, none changed, added or cut off; proved {proof}.", soft_wrap=True)
+    out.print(f"{len(log)} entries, none changed, added or removed; proved {proof}.", soft_wrap=True)
 
 
 @trial.command("page")
@@ -133,7 +135,7 @@ def write_page(
     home: HomeDir = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write the one page that may leave.
+    """Write the summary page, which names no aircraft.
 
     With --json the same numbers are printed as well.
     """
@@ -146,7 +148,7 @@ def write_page(
     with _one_line():
         where = home_folder(home)
         if fault := next(faults(log_folder(where)), None):
-            raise StopError(f"{fault}; no page is made of a log that is not what was sealed")
+            raise StopError(f"{fault}; no page is written from an altered log")
         evaluation = evaluate(where)
         with replacing(target.resolve()) as temporary:
             temporary.write_text(page(evaluation), "utf-8")
@@ -160,11 +162,9 @@ def write_page(
 def dossier(
     target: Annotated[Path, typer.Option("--out", help="HTML file to write.")],
     home: HomeDir = None,
-    attach: Annotated[
-        list[Path] | None, typer.Option(help="A text that goes along whole; may be given more than once.")
-    ] = None,
+    attach: Annotated[list[Path] | None, typer.Option(help="Text file to append in full; may be repeated.")] = None,
 ) -> None:
-    """Write what an authority asks of a prognostic model.
+    """Write a certification dossier of the prognostic model.
 
     Data lineage, limits, validation, configuration, changes and known failures, as one offline page. It names aircraft.
     """
@@ -180,7 +180,7 @@ def dossier(
 
 @contextmanager
 def _one_writer(home: Path | None) -> Iterator[Path]:
-    """The home, held: no night seals meanwhile."""
+    """Yield the home with its lock held, so that no night seals meanwhile."""
     from pipelines.orchestration.around_night import lock_home
 
     where = home_folder(home)

@@ -1,4 +1,4 @@
-"""What a trial calls a hit, a false alarm, too early and too late, and what each costs; declared before it begins."""
+"""Definitions and costs of hits, false alarms, early and late alerts, declared before the trial begins."""
 
 from dataclasses import dataclass
 from importlib import resources
@@ -14,7 +14,7 @@ MOST, MOST_DAYS = 1e12, 36_525
 
 
 class TrialError(Exception):
-    """What can't be done with this trial, and what to do."""
+    """A trial cannot proceed; the message names the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class Minimum:
-    """Least counts of what leaves."""
+    """Smallest counts that may be published."""
 
     count: int
     flights: int
@@ -48,7 +48,7 @@ class Minimum:
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """A trial's definitions; the words are those of `declaration.toml`."""
+    """A trial's definitions, named as in `declaration.toml`."""
 
     name: str
     days: int
@@ -66,19 +66,19 @@ class Declaration:
 
 
 def read_declaration(text: str) -> Declaration:
-    """The declaration a TOML text makes; what it leaves out is as in the default.
+    """Parse a declaration in TOML; missing keys take their defaults.
 
     Raises
     ------
     TrialError
-        It is no TOML, names something unknown, or a value can't be.
+        Invalid TOML, an unknown key or an invalid value.
     """
     try:
         entries = parse_toml(text)
     except ValueError as error:
         raise TrialError(f"the declaration is {error}") from None
     if not isinstance(entries.get("rule", {}), dict):
-        raise TrialError("rules stand below [rule.NAME]")
+        raise TrialError("declare each rule in a table [rule.NAME]")
     rules = tuple(_rule(name, entry) for name, entry in entries.pop("rule", {}).items())
     default = parse_toml(DEFAULT)
     flat = _filled(default, entries, "")
@@ -97,9 +97,11 @@ def _filled(default: dict[str, Any], entries: dict[str, Any], where: str) -> dic
     for name, value in entries.items():
         default_value = default.get(name)
         if default_value is None:
-            raise TrialError(f"the declaration has no {where}{name}; known are {', '.join(default)}")
+            raise TrialError(f"the declaration has no {where}{name}; valid keys: {', '.join(default)}")
         if not (_alike(value, default_value)):
-            raise TrialError(f"{where}{name} in the declaration is {value!r} and ought to be like {default_value!r}")
+            raise TrialError(
+                f"{where}{name} in the declaration is {value!r}; expected a value such as {default_value!r}"
+            )
     return {
         name: _filled(default_value, entries.get(name, {}), f"{name}.")
         if isinstance(default_value, dict)
@@ -123,16 +125,16 @@ def _tuples(entries: dict[str, Any]) -> dict[str, Any]:
 def _rule(name: str, entry: Any) -> Rule:
     fields = entry if isinstance(entry, dict) else {}
     if len(fields) != 1 or set(fields) - {"sql", "file"} or not isinstance(next(iter(fields.values())), str):
-        raise TrialError(f"rule.{name} has either `sql` or `file`, a text")
+        raise TrialError(f"rule.{name} needs either `sql` or `file`, a string")
     return Rule(name, fields.get("sql"), fields.get("file"))
 
 
 def _check(d: Declaration) -> None:
     if not 0.5 <= d.confidence < 1.0:
-        raise TrialError(f"confidence is {d.confidence:g} and lies between 0.5 and 1")
+        raise TrialError(f"confidence is {d.confidence:g}; it must lie between 0.5 and 1")
     if not 0 < d.late_flights < d.early_flights:
-        raise TrialError(f"late_flights, {d.late_flights}, lies between 0 and early_flights, {d.early_flights}")
+        raise TrialError(f"late_flights, {d.late_flights}, must lie between 0 and early_flights, {d.early_flights}")
     if max(d.days, d.lapse_days) > MOST_DAYS:
-        raise TrialError(f"days and lapse_days are {MOST_DAYS:,} at most")
+        raise TrialError(f"days and lapse_days must not exceed {MOST_DAYS:,}")
     if not (d.days and d.components and d.horizon_flights):
-        raise TrialError("days, components and horizon_flights can't be nothing")
+        raise TrialError("days, components and horizon_flights must not be empty or 0")

@@ -6,40 +6,40 @@ from typing import Any
 from pipelines.report.templating import policy, render
 
 Part = dict[str, Any] | str
-"""What stands in a section; text is a paragraph. `document.html` says how each kind looks."""
+"""Content of a section; text is a paragraph. `document.html` renders each kind."""
 
 
 def document(title: str, *parts: Part) -> str:
-    """The whole document."""
+    """Render the document as HTML."""
     return render("document.html", title=title, parts=parts, policy=policy())
 
 
 def section(title: str, *parts: Part | None) -> Part:
-    """A heading and what stands under it."""
+    """Return a section under a heading."""
     return {"kind": "section", "title": title, "parts": [p for p in parts if p is not None]}
 
 
 def heading(title: str) -> Part:
-    """A smaller heading."""
+    """Return a subheading."""
     return {"kind": "heading", "text": title}
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], empty: str = "None.") -> Part:
-    """A table; a sentence where it has no row."""
+    """Return a table, or a sentence where it has no row."""
     body = list(rows)
     return {"kind": "table", "columns": columns, "rows": body} if body else empty
 
 
 def bullets(items: Iterable[Any]) -> Part:
-    """A list."""
+    """Return a list."""
     return {"kind": "bullets", "items": list(items)}
 
 
 def verbatim(text: str) -> Part:
-    """Text as it was written."""
+    """Return preformatted text."""
     return {"kind": "verbatim", "text": text}
 
 
 def code(text: str) -> Part:
-    """Text for a machine, within a cell."""
+    """Return code within a cell."""
     return {"kind": "code", "text": text}

@@ -1,7 +1,7 @@
-"""What an authority asks of who wants to use a prognostic model, from one home, as one offline file.
+"""Certification dossier of the prognostic model in one home, as one offline file.
 
 The inputs that SAE ARP8476 and FAA AC 43-218 ask for: where the data come from, limits, validation, configuration,
-changes and known failures. It brings together what is there and grants nothing: the judgement, the safety assessment
+changes and known failures. It compiles evidence and grants no credit: the judgement, the safety assessment
 and the maintenance programme are the operator's.
 """
 
@@ -25,9 +25,9 @@ from pipelines.storage.ledger import Ledger
 from pipelines.versions import digest
 
 _PURPOSE = (
-    "Advisory: it tells line maintenance which exchanger or compressor of an air-conditioning pack wears, why, and "
-    "how many flights are likely to be left until the aircraft's own message. No crew procedure, dispatch condition or "
-    "inspection interval rests on it, and none may without the operator's assessment and the authority's approval."
+    "Advisory: it shows line maintenance which exchanger or compressor of an air-conditioning pack is degrading, why, "
+    "and how many flights are likely to remain before the aircraft's own message. No crew procedure, dispatch rule "
+    "or inspection interval rests on it, and none may without the operator's assessment and the authority's approval."
 )
 _QUESTIONS = {
     "lineage": """
@@ -69,14 +69,14 @@ _QUESTIONS = {
 
 
 def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
-    """The document.
+    """Compile the dossier as HTML.
 
     Parameters
     ----------
     home : Path
         A home with a catalog.
     attached : sequence of Path
-        Texts that go along whole: limits, validation reports, a trial's page as text.
+        Texts appended in full: limits, validation reports, a trial's page as text.
     """
     with connect(home) as con:
         tables = {name: _table(con, sql) for name, sql in _QUESTIONS.items()}
@@ -86,35 +86,37 @@ def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
     return document(
         f"Dossier of a prognostic system, {datetime.now(UTC):%Y-%m-%d}",
         section("Purpose and limits of use", _PURPOSE),
-        section("Where to find what", _contents()),
+        section("Contents by requirement", _contents()),
         section("1 Data lineage", tables["lineage"], tables["rows"], *_subsection("Stages, in order", _stages())),
         section(
             "2 Data quality",
-            *_subsection("Set aside, by reason", tables["quarantine"]),
+            *_subsection("Quarantined rows by reason", tables["quarantine"]),
             *_subsection("Gaps", tables["gaps"]),
-            *_subsection("Legs fit to calibrate from", tables["legs"]),
+            *_subsection("Legs admitted to calibration", tables["legs"]),
         ),
         section(
             "3 Limits",
-            *_subsection("Components and the loss at which they fail", tables["components"]),
-            *_subsection("What the data identify of the design", tables["design"]),
-            *_subsection("How estimates ended", tables["status"]),
+            *_subsection("Components and their failure thresholds", tables["components"]),
+            *_subsection("Identifiability of design parameters", tables["design"]),
+            *_subsection("Status of estimates", tables["status"]),
         ),
         section(
             "4 Validation",
-            *_subsection("Model card; scores are of aircraft that the model did not learn from", _card(cards)),
-            *_subsection("What came of alerts", tables["outcomes"]),
-            *_subsection("Lead before the aircraft's message", tables["lead"]),
-            *_subsection("Checks of the catalog", table(("check", "rows at fault"), checks)),
+            *_subsection("Model card (scores on aircraft held out of training)", _card(cards)),
+            *_subsection("Alert outcomes", tables["outcomes"]),
+            *_subsection("Lead time before the aircraft's message", tables["lead"]),
+            *_subsection("Checks of the catalog", table(("check", "failing rows"), checks)),
             *_trial(home),
         ),
         section("5 Configuration", _configuration(configuration)),
         section(
-            "6 Changes", *_subsection("Nights", _nights(home)), *_subsection("Models that spoke", tables["models"])
+            "6 Changes",
+            *_subsection("Nights", _nights(home)),
+            *_subsection("Model versions in service", tables["models"]),
         ),
         section(
             "7 Known failures",
-            *_subsection("Messages that no alert foretold", tables["missed"]),
+            *_subsection("Messages without a prior alert", tables["missed"]),
             *_subsection("Alerts without a finding, a message or a removal", tables["false_alarms"]),
         ),
         *(_attachment(path) for path in (*_own_papers(), *attached)),
@@ -124,14 +126,14 @@ def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
 def _contents() -> Part:
     rows = (
         ("data sources, their integrity and traceability", "1, 2"),
-        ("assumptions, operating limits, what can't be told", "3, attached limits"),
+        ("assumptions, operating limits, what is not observable", "3, attached limits"),
         ("validation against outcomes, false and missed alarms, lead", "4, 7"),
         ("configuration control of software, model and thresholds", "5"),
         ("changes in service and their effect", "6"),
-        ("known failures and how they are found", "2, 7"),
-        ("not here: safety assessment, training, procedures, approvals", "the operator's"),
+        ("known failures and how they are detected", "2, 7"),
+        ("not included: safety assessment, training, procedures, approvals", "the operator's"),
     )
-    return table(("asked for", "section"), rows)
+    return table(("requirement", "section"), rows)
 
 
 def _table(con: duckdb.DuckDBPyConnection, sql: str) -> Part:
@@ -157,7 +159,7 @@ def _stages() -> Part:
         (
             s.name,
             ", ".join(s.tables),
-            ", ".join(s.parents) or "what is delivered or declared",
+            ", ".join(s.parents) or "delivered files or declarations",
             digest(*map(repr, s.tables.values()))[:12],
         )
         for s in STAGES
@@ -188,29 +190,29 @@ def _configuration(now: dict[str, object]) -> Part:
             (f"{name} {key}".strip(), _format_value(v) if not isinstance(v, list) else ", ".join(v))
             for key, v in inner.items()
         ]
-    return table(("what", "as it is"), rows)
+    return table(("item", "value"), rows)
 
 
 def _nights(home: Path) -> Part:
-    """The last hundred nights, and every one that failed."""
+    """List the last hundred nights and every failed one."""
     nights = Ledger(home, read_only=True).nights().rows()
     rows = [row for k, row in enumerate(nights) if k >= len(nights) - 100 or row[-1] not in ("{}", "")]
     return table(("began", "ended", "files", "new files", "runs", "cells", "failed"), rows)
 
 
 def _trial(home: Path) -> tuple[Part, ...]:
-    """What a shadow trial sealed, where there is one."""
+    """Summarise the sealed log of a shadow trial, if there is one."""
     log = entries(log_folder(home))
     if not log:
-        return _subsection("Shadow trial", "None was held.")
+        return _subsection("Shadow trial", "No trial on record.")
     faults = list(faults_of_log(log_folder(home)))
     summary = f"{len(log)} entries since {log[0].sealed_at:%Y-%m-%d}; last digest {log[-1].digest}."
     changes = [f"{e.sealed_at:%Y-%m-%d}: {line}" for e in log for line in e.body.get("changes", [])]
-    return heading("Shadow trial"), summary, bullets(faults or changes or ["nothing changed since it began"])
+    return heading("Shadow trial"), summary, bullets(faults or changes or ["no change since it began"])
 
 
 def _own_papers() -> list[Path]:
-    """The project's own words on limits and changes; a wheel lacks the latter, and then it is to be attached."""
+    """Return the project's limits and change log; a wheel lacks the latter, which must then be attached."""
     package = Path(__file__).parents[1]
     return [path for path in (package / "docs/limits.md", package.parent / "CHANGELOG.md") if path.is_file()]
 

@@ -1,4 +1,4 @@
-"""What the page tells, as numbers: our figures, the operator's rules over the same flights, and what was kept back."""
+"""Evaluate a trial: our figures, the operator's rules over the same flights, and suppressed counts."""
 
 import re
 from bisect import bisect_right
@@ -20,12 +20,12 @@ from pipelines.storage.catalog import connect
 
 _RULE = re.compile(r"^(\[rule\.[^\]\n]*\])\n.*?(?=^\[|\Z)", re.MULTILINE | re.DOTALL)
 LATE_SEAL_DAYS = 3.0
-"""A night sealed longer than this after its last flight is told: its outcomes may have been known."""
+"""A night sealed later than this after its last flight is reported: its outcomes may have been known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """All that may leave."""
+    """The publishable results."""
 
     declared: Declaration
     text: str
@@ -51,12 +51,12 @@ class Evaluation:
     """By rule, events foretold in time by both, by us alone, by the rule alone, by neither."""
 
     def as_json(self) -> dict[str, Any]:
-        """The numbers as JSON holds them."""
+        """Return the numbers ready for JSON."""
         return asdict(self)
 
 
 def evaluate(home: Path) -> Evaluation:
-    """Judge a home's trial with the outcomes that are known now.
+    """Evaluate a home's trial against the outcomes on record.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def evaluate(home: Path) -> Evaluation:
 def evaluated(
     log: Sequence[LogEntry], declared: Declaration, outcomes: Outcomes, unsealed: dict[str, list[SealedAlert]]
 ) -> Evaluation:
-    """Judge a log.
+    """Evaluate a log.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def evaluated(
     after = kept_back({"n": sum(e.at <= e.sealed_at for e in foretold if e.sealed_at)}, least)["n"]
     return Evaluation(
         declared=declared,
-        text=_RULE.sub(r"\1\n# stays in the house\n", log[0].body["declaration"]),
+        text=_RULE.sub(r"\1\n# not published\n", log[0].body["declaration"]),
         version=log[0].body["frozen"]["version"],
         head=log[-1].digest,
         nights=sum(e.kind == "night" for e in log),
@@ -119,7 +119,7 @@ def evaluated(
 
 
 def _agreement(ours: ScoredAlerts, theirs: ScoredAlerts) -> dict[str, int]:
-    """Events by who foretold them in time; both lists hold the same events in the same order."""
+    """Count events by which source foretold them in time; both lists hold the same events in the same order."""
     pairs = [(a.verdict == "hit", b.verdict == "hit") for a, b in zip(ours.events, theirs.events, strict=True)]
     names = {
         (True, True): "both",
@@ -131,13 +131,13 @@ def _agreement(ours: ScoredAlerts, theirs: ScoredAlerts) -> dict[str, int]:
 
 
 def _alerts_of_file(rule: Rule, outcomes: Outcomes, log: Sequence[LogEntry]) -> list[SealedAlert]:
-    """Alerts of a file, taken at their word: known from the last flight before they were raised."""
+    """Read a rule's alerts from its file, unsealed: each is dated by the last flight before it was raised."""
     file, span = Path(str(rule.file)), sealed_span(log)
     try:
         table = pl.read_csv(file, try_parse_dates=True, schema_overrides={"tail": pl.String, "operator": pl.String})
         frame = as_alerts(table, f"{file}")
     except (OSError, pl.exceptions.PolarsError) as error:
-        raise TrialError(f"rule {rule.name}: {file} can't be read: {str(error).splitlines()[0]}") from None
+        raise TrialError(f"rule {rule.name}: {file} cannot be read: {str(error).splitlines()[0]}") from None
     alerts = []
     for row in frame.iter_rows(named=True):
         place, raised_at = place_of(row), row["raised_at"]

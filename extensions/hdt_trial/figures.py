@@ -1,4 +1,4 @@
-"""The trial's figures, each with an interval and what it rests on; what is too few to leave is not told."""
+"""The trial's figures with intervals and sample sizes; figures on too few samples are suppressed."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,7 +32,7 @@ class Figure:
     label: str
     unit: str
     interval: Interval | None
-    """None where it may not leave or can't be told."""
+    """None where it is suppressed or cannot be computed."""
     n: int | None
     of: str
     """What `n` counts."""
@@ -41,7 +41,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class ScoredAlerts:
-    """All that was judged of one source of alerts, and the exposure."""
+    """Scored alerts and events of one source, with their exposure."""
 
     alerts: list[JudgedAlert]
     events: list[JudgedEvent]
@@ -61,7 +61,7 @@ class ScoredAlerts:
 def judge_alerts(
     log: Sequence[LogEntry], judge: Judge, source: str = OURS, unsealed: Sequence[SealedAlert] | None = None
 ) -> ScoredAlerts:
-    """Alerts of one source, and the events they ought to have foretold.
+    """Score the alerts of one source and the events they should have foretold.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def judge_alerts(
 
 
 def judge_prognoses(log: Sequence[LogEntry], judge: Judge) -> list[JudgedPrognosis]:
-    """Every sealed prognosis of a declared component of which something can be told."""
+    """Score every sealed prognosis of a declared component whose outcome is known."""
     rows = (
         row for entry in log for row in entry.body.get("prognoses", []) if row["component"] in judge.declared.components
     )
@@ -99,7 +99,7 @@ def judge_prognoses(log: Sequence[LogEntry], judge: Judge) -> list[JudgedPrognos
 
 @dataclass(frozen=True)
 class Teller:
-    """Figures of one source, with what may leave."""
+    """Compute the publishable figures of one source."""
 
     judge: Judge
     scores: ScoredAlerts
@@ -123,7 +123,7 @@ class Teller:
             ),
             self._point("lead_median", "Lead, median", leads, 0.5),
             self._point("lead_p10", "Lead, 10th percentile", leads, 0.1),
-            self._share("right", "Alerts that were right", right, "alerts"),
+            self._share("right", "Alerts followed by an event in time", right, "alerts"),
             *self._costs(followed),
         ]
 
@@ -134,10 +134,10 @@ class Teller:
             return [(p.tail, bool(v)) for p in prognoses if (v := getattr(p, field)) is not None]
 
         chances = [p.p_event_50 for p in prognoses if p.event_50 is not None and p.p_event_50 is not None]
-        mean = f"; said {np.mean(chances):.3f}" if chances else ""
+        mean = f"; forecast {np.mean(chances):.3f}" if chances else ""
         return [
             self._share("coverage", "Remaining life within its 90 % interval", of("within"), "prognoses"),
-            self._share("too_low", "Event before its lower end (5 % said)", of("too_low"), "prognoses"),
+            self._share("too_low", "Event before its lower end (nominal 5 %)", of("too_low"), "prognoses"),
             self._share("event_50", f"Event within 50 flights{mean}", of("event_50"), "prognoses"),
         ]  # fmt: skip
 
@@ -174,7 +174,7 @@ class Teller:
         return Figure(name, label, "%", interval, len(rows), of)
 
     def _point(self, name: str, label: str, events: Sequence[JudgedEvent], level: float) -> Figure:
-        """A point of the lead; of an alert that stood at the start the lead is known to be so long or longer."""
+        """Estimate a quantile of the lead; that of an alert open at the start is censored."""
         least = self.judge.declared.minimum.count
         few = f"fewer than {least} events" * (len(events) < least)
         if why := few or self._too_few(sum(self.scores.sealed.values()), len({e.place[:2] for e in events})):
@@ -185,7 +185,7 @@ class Teller:
         return Figure(name, label, "flights", interval, len(events), "events", why)
 
     def _costs(self, followed: Iterable[JudgedAlert]) -> list[Figure]:
-        """Money by aircraft: saved over the flights that were sealed, spent over those that were followed as well."""
+        """Sum money by aircraft: saved over sealed flights, spent over those also followed."""
         cost, saved, spent = self.judge.declared.cost, defaultdict[Tail, float](float), defaultdict[Tail, float](float)
         for event in self.scores.events:
             saved[event.place[:2]] += (cost.unscheduled_event - cost.scheduled_removal) * (event.verdict == "hit")
@@ -217,7 +217,7 @@ class Teller:
 
 
 def kept_back(counts: Mapping[str, int], least: int) -> dict[str, int | None]:
-    """Counts that may leave; None stands for one from 1 to `least` - 1.
+    """Suppress small counts: None stands for one from 1 to `least` - 1.
 
     Where a single one is kept back the sum would give it away: then the least of the others is kept back as well.
 

@@ -1,4 +1,4 @@
-"""What a trial freezes: the code, its constants, the libraries and the declared components; and what changed since."""
+"""Configuration frozen by a trial: code, constants, libraries, declared components; and its changes since."""
 
 import ast
 import hashlib
@@ -42,7 +42,7 @@ def frozen(con: duckdb.DuckDBPyConnection, home: Path) -> dict[str, Any]:
 
 
 def changes(before: dict[str, Any], now: dict[str, Any], where: str = "") -> list[str]:
-    """What differs, one line each."""
+    """List the differences, one line each."""
     lines = []
     for name in sorted({*before, *now}):
         a, b = before.get(name), now.get(name)

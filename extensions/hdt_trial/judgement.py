@@ -1,7 +1,7 @@
-"""What came of each sealed alert, event and prognosis, by the declared definitions.
+"""Score each sealed alert, event and prognosis by the declared definitions.
 
-An alert counts from the night that sealed it: from the last flight of its aircraft that was known then, never from the
-time at which it says it was raised. What an aircraft has not flown on for long enough to tell is not judged.
+An alert counts from the night that sealed it: from its aircraft's last flight on record then, never from its stated
+time of raising. Alerts and prognoses without enough flights since are not scored.
 """
 
 from bisect import bisect_right
@@ -38,7 +38,7 @@ class SealedAlert:
 
 @dataclass(frozen=True, slots=True)
 class JudgedAlert:
-    """What came of it."""
+    """Its verdict."""
 
     alert: SealedAlert
     verdict: str
@@ -73,7 +73,7 @@ class JudgedPrognosis:
 
 @dataclass(frozen=True)
 class Judge:
-    """The definitions and the outcomes."""
+    """Score by these definitions and outcomes."""
 
     declared: Declaration
     outcomes: Outcomes
@@ -85,7 +85,7 @@ class Judge:
         return max(0, last - bisect_right(times, after))
 
     def alert(self, alert: SealedAlert) -> JudgedAlert:
-        """What came of an alert."""
+        """Score an alert."""
         d, place, tail = self.declared, alert.place, alert.place[:2]
         followed = self.flown(tail, alert.known_at) >= d.early_flights
         removed = _next(self.outcomes.removals, place, alert.known_at)
@@ -105,7 +105,7 @@ class Judge:
         return JudgedAlert(alert, "false_alarm" if followed else "open", followed, None)
 
     def event(self, place: Place, at: datetime, alerts: Sequence[SealedAlert]) -> JudgedEvent:
-        """Whether an event was foretold, by the first alert of its unit that was sealed before it."""
+        """Score an event by the first alert of its unit sealed before it."""
         begun = _last(self.outcomes.removals, place, at)
         before = [
             a for a in alerts if a.known_at < at and (begun is None or a.known_at >= begun) and not self.lapsed(a, at)
@@ -133,7 +133,7 @@ class Judge:
         return event if event and (begun is None or event > begun) else None
 
     def prognosis(self, row: dict[str, Any]) -> JudgedPrognosis | None:
-        """How a prognosis fared; None where nothing of it can be told yet."""
+        """Score a prognosis; None where its outcome is not known yet."""
         place, departed_at = place_of(row), datetime.fromisoformat(row["departed_at"])
         if row["rul_low"] is None or self.event_of_unit(place, departed_at):
             return None
@@ -161,7 +161,7 @@ class Judge:
 
 
 def sealed_alerts(log: Sequence[LogEntry], components: Sequence[str]) -> list[SealedAlert]:
-    """Every alert that was sealed, as first sealed, with the close that was sealed last."""
+    """Return every alert as first sealed, with its last sealed closing time."""
     first: dict[tuple[str, str], tuple[dict[str, Any], LogEntry, datetime]] = {}
     closed: dict[tuple[str, str], str | None] = {}
     for entry in log:

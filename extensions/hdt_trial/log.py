@@ -3,7 +3,7 @@
 Anyone can check it with `sha256sum` and a text editor: the digest of entry k is that of its file, and entry k + 1 names
 it as `previous`. The last digest, the head, is also kept in `heads.txt` and printed each night. Someone who can write
 here can make a whole new chain, heads included: only a digest that left the house, on paper, in a mail or under a time
-stamp (`stamp.py`), shows that.
+stamp (`stamp.py`), reveals that.
 """
 
 import hashlib
@@ -37,7 +37,7 @@ class LogEntry:
 
 
 def entries(folder: Path) -> list[LogEntry]:
-    """The log as it lies there, in order; `faults` says whether it is what was sealed."""
+    """Read the log in order, unverified; `faults` verifies it."""
     return [_read(file) for file in _files(folder)]
 
 
@@ -47,11 +47,11 @@ def append(folder: Path, kind: str, body: dict[str, Any], now: datetime) -> LogE
     Raises
     ------
     TrialError
-        What lies there is not what was sealed: nothing is added to a broken log.
+        The log was altered; nothing is appended to it.
     """
     begins = kind == "start" and not any(folder.iterdir())
     if not begins and (fault := next(faults(folder, spare=1), None)):
-        raise TrialError(f"the trial's log is not what was sealed: {fault}; nothing was added")
+        raise TrialError(f"the trial's log was altered: {fault}; nothing was added")
     log = entries(folder)
     previous = log[-1].digest if log else NOTHING
     record = {"number": len(log), "kind": kind, "sealed_at": now.isoformat(), "previous": previous, "body": body}
@@ -66,18 +66,18 @@ def append(folder: Path, kind: str, body: dict[str, Any], now: datetime) -> LogE
 
 
 def faults(folder: Path, digests: Iterable[str] = (), head: str | None = None, *, spare: int = 0) -> Iterator[str]:
-    """What shows that the log is not what was sealed.
+    """Yield the signs that the log was altered after it was sealed.
 
     Parameters
     ----------
     folder : Path
         The log.
     digests : iterable of str
-        Heads that were printed on some nights and kept elsewhere: each must be in the chain.
+        Heads printed on earlier nights and stored elsewhere: each must be in the chain.
     head : str, optional
-        The last that was printed: it must be the chain's end.
+        Head printed last: the chain must end with it.
     spare : int
-        Entries that may be there without a line in `heads.txt`: a kill between the two leaves one.
+        Entries allowed without a line in `heads.txt`: a kill between the two writes leaves one.
     """
     files, previous, before, chain = _files(folder), NOTHING, None, []
     if not files:
@@ -100,10 +100,10 @@ def faults(folder: Path, digests: Iterable[str] = (), head: str | None = None, *
         chain.append(entry.digest)
     yield from _of_heads(folder / HEADS, chain, spare)
     if head and chain[-1] != head.lower():
-        yield f"the last entry is not the one whose digest, {head[:16]}..., was kept"
+        yield f"the last entry does not have the digest {head[:16]}... that was given"
     for digest in digests:
         if digest.lower() not in chain:
-            yield f"the digest {digest[:16]}... that was kept is not in the log"
+            yield f"the digest {digest[:16]}... that was given is not in the log"
 
 
 def _of_heads(file: Path, chain: list[str], spare: int) -> Iterator[str]:
@@ -115,7 +115,7 @@ def _of_heads(file: Path, chain: list[str], spare: int) -> Iterator[str]:
     if differs is not None:
         yield f"entry {differs} is not the one whose digest {file.name} holds"
     elif len(lines) > len(expected):
-        yield f"{len(lines) - len(expected)} entries were cut off at the end: {file.name} holds {len(lines)}"
+        yield f"{len(lines) - len(expected)} entries were removed at the end: {file.name} holds {len(lines)}"
     else:
         yield f"{len(expected) - len(lines)} entries at the end are not in {file.name}"
 
@@ -132,4 +132,4 @@ def _read(file: Path) -> LogEntry:
         digest = hashlib.sha256(data).hexdigest()
         return LogEntry(int(record["number"]), record["kind"], at, record["previous"], dict(record["body"]), digest)
     except (ValueError, KeyError, TypeError):
-        raise TrialError(f"{file.name} can't be read as an entry") from None
+        raise TrialError(f"{file.name} is not a valid entry") from None

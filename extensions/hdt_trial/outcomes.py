@@ -1,4 +1,4 @@
-"""What came of the units: messages, removals and findings from the catalog, and from a file what no log holds."""
+"""Outcomes of units: messages, removals and findings, from the catalog and from files of outcomes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,12 +31,12 @@ _FLIGHTS = "select operator, tail, list_sort(list(distinct departed_at)) as depa
 
 @dataclass(frozen=True, slots=True)
 class Outcomes:
-    """What became of each place, in order of time."""
+    """Outcomes of each place, in order of time."""
 
     departed: dict[tuple[str, str], list[datetime]]
     """Departures of each aircraft."""
     events: dict[Place, list[datetime]]
-    """What ought to have been foretold: the first message of each unit, or its removal with a finding."""
+    """Events to be foretold: the first message of each unit, or its removal with a finding."""
     removals: dict[Place, list[datetime]]
     no_faults: dict[Place, list[datetime]]
     without_pack: int
@@ -44,7 +44,7 @@ class Outcomes:
 
 
 def read_outcomes(con: duckdb.DuckDBPyConnection, log: Sequence[LogEntry], declared: Declaration) -> Outcomes:
-    """Outcomes as they are known now."""
+    """Read the outcomes on record."""
     logged = con.sql(_LOGGED).pl().select(*COLUMNS[:7]).with_columns(pl.col("at").dt.convert_time_zone("UTC"))
     own = [row for entry in log if entry.kind == "outcomes" for row in entry.body["rows"]]
     if own:
@@ -76,17 +76,17 @@ def outcomes_of(
 
 
 def take_in(home: Path, file: Path, now: datetime | None = None) -> LogEntry:
-    """Seal outcomes that no log holds: shop findings, removals, messages told by word.
+    """Seal outcomes missing from the logs: shop findings, removals, messages reported orally.
 
     Raises
     ------
     TrialError
-        A column is missing or a value can't be; told with file, row and column.
+        A column is missing or a value is invalid; the message names file, row and column.
     """
     try:
         table = pl.read_csv(file, infer_schema=False)
     except pl.exceptions.PolarsError as error:
-        raise TrialError(f"{file} is no CSV: {str(error).splitlines()[0]}") from None
+        raise TrialError(f"{file} is not valid CSV: {str(error).splitlines()[0]}") from None
     if missing := [c for c in COLUMNS[:6] if c not in table.columns]:
         raise TrialError(f"{file} has no column {missing[0]}; it has {', '.join(COLUMNS)}, the last two may be empty")
     rows = [_checked(file, n, row) for n, row in enumerate(table.iter_rows(named=True), start=2)]

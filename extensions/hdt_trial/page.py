@@ -1,4 +1,4 @@
-"""The one page that may leave: figures with intervals and n, definitions, costs, what was not judged; no raw row."""
+"""Summary page for release: figures with intervals and n, definitions, costs and exclusions; no raw row."""
 
 from hdt_trial.document import Part, bullets, document, section, table, verbatim
 from hdt_trial.evaluation import LATE_SEAL_DAYS, Evaluation
@@ -7,28 +7,28 @@ from hdt_trial.seal import OURS
 
 _VERDICTS = {
     "hit": "event in time",
-    "too_late": "event, too late to act",
-    "too_early": "event, too early",
+    "too_late": "alert too late to act",
+    "too_early": "alert too early",
     "false_alarm": "false alarm",
-    "after_event": "raised after the event: neither",
-    "removed": "unit removed without a finding: not judged",
-    "open": "not flown long enough: not judged yet",
+    "after_event": "raised after the event: not scored",
+    "removed": "unit removed without a finding: not scored",
+    "open": "too few flights since: not scored yet",
 }
 
 
 def page(e: Evaluation) -> str:
-    """The document."""
+    """Render the page as HTML."""
     share = f"{e.declared.confidence:.0%} intervals"
     return document(
         f"{e.declared.name}: {e.began} to {e.ended}",
         f"{e.flights:,} flights of {e.aircraft} aircraft, {e.nights} nights sealed. Version {e.version}.",
-        section("How it went", _figures(e, OURS), f"{share}; flights of one aircraft are not taken for independent."),
+        section("Results", _figures(e, OURS), f"{share}; flights of one aircraft are treated as dependent."),
         *(section(f"The operator's rule {name}", _figures(e, name), _agreement(e, name)) for name in e.agreement),
-        section("What came of the alerts", table(("", *e.verdicts), _verdict_rows(e)), *_exclusions(e)),
-        section("What changed during the trial", bullets(e.changes) if e.changes else "Nothing.", _models(e)),
-        section("What was declared before the first night", verbatim(e.text)),
-        section("What proves it", *_proof(e)),
-        section("What was kept back", _kept_back(e)),
+        section("Alert outcomes", table(("", *e.verdicts), _verdict_rows(e)), *_exclusions(e)),
+        section("Changes during the trial", bullets(e.changes) if e.changes else "Nothing.", _models(e)),
+        section("Declaration, sealed before the first night", verbatim(e.text)),
+        section("Verification", *_proof(e)),
+        section("Suppressed figures", _suppression(e)),
     )  # fmt: skip
 
 
@@ -38,7 +38,7 @@ def _figures(e: Evaluation, source: str) -> Part:
 
 def _row(f: Figure) -> tuple[str, str, str, str]:
     if f.interval is None:
-        return f.label, "not told", f.why_not, ""
+        return f.label, "suppressed", f.why_not, ""
     low, high = (_format_value(f, v) if v is not None else "open" for v in (f.interval.low, f.interval.high))
     n = f"{f.n:,} {f.of}" if f.n is not None else ""
     return f.label, f"{_format_value(f, f.interval.value)} {f.unit}", f"{low} to {high}", n
@@ -55,7 +55,7 @@ def _verdict_rows(e: Evaluation) -> list[tuple[str, ...]]:
 
 
 def _count(n: int | None) -> str:
-    return "kept back" if n is None else f"{n:,}"
+    return "suppressed" if n is None else f"{n:,}"
 
 
 def _agreement(e: Evaluation, rule: str) -> Part:
@@ -64,36 +64,38 @@ def _agreement(e: Evaluation, rule: str) -> Part:
 
 
 def _exclusions(e: Evaluation) -> list[str]:
-    """What could not be judged."""
-    lines = [f"Judged are alerts and prognoses of {', '.join(e.declared.components)}."]
+    """State what is scored and what is left out."""
+    lines = [f"Alerts and prognoses of these components are scored: {', '.join(e.declared.components)}."]
     if e.without_pack:
-        lines.append("Messages or works that name no pack belong to no unit and were left out.")
+        lines.append("Messages and work orders that name no pack are left out.")
     return lines
 
 
 def _models(e: Evaluation) -> str:
-    return f"{e.models} versions of the prognostic model spoke: it learns from the fleet's own lives as they end."
+    return (
+        f"{e.models} versions of the prognostic model were in service: each is trained on the fleet's completed lives."
+    )
 
 
 def _proof(e: Evaluation) -> list[str]:
     lines = [
         f"Digest of the log's last entry: {e.head}.",
-        "Each night's alerts and prognoses were written to a chain of digests before their outcomes were known; who "
-        "holds the log can check it with `hdt trial verify` or with sha256sum.",
+        "Each night's alerts and prognoses were written to a chain of digests before outcomes were known. The log "
+        "can be verified with `hdt trial verify` or with sha256sum.",
     ]
     if e.late_nights:
         lines.append(
             f"{e.late_nights} entries were sealed more than {LATE_SEAL_DAYS:.0f} days after their last flight."
         )
     if e.after_the_fact != 0:
-        lines.append("A rehearsal on old flights: outcomes lay before the time of the seal. It proves nothing.")
+        lines.append("A rehearsal on past flights: outcomes predate the seal, so it proves nothing.")
     return lines
 
 
-def _kept_back(e: Evaluation) -> str:
+def _suppression(e: Evaluation) -> str:
     m = e.declared.minimum
     return (
         f"Counts from 1 to {m.count - 1}, and figures that rest on fewer than {m.flights:,} flights or {m.aircraft} "
-        f"aircraft, are not told; where one count alone is kept back the least of the others is, too. No aircraft, no "
-        f"date of an event and no row of data is on this page."
+        f"aircraft, are suppressed; where a single count is suppressed, so is the smallest of the others. This page "
+        f"contains no aircraft, no event date and no row of data."
     )

@@ -1,4 +1,4 @@
-"""What is sealed: at the start what is frozen and what stood already, each night what is said, and outcomes by file."""
+"""Seal the frozen configuration at the start, changed alerts and prognoses each night, and outcomes from files."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -35,17 +35,17 @@ order by all
 
 
 def log_folder(home: Path) -> Path:
-    """Where a home's trial is sealed."""
+    """Return the folder of a home's trial log."""
     return home / FOLDER
 
 
 def start(home: Path, declaration: str, now: datetime | None = None) -> LogEntry:
-    """Freeze what is, and seal it with the declaration and with what is said already.
+    """Start a trial: seal configuration, declaration, open alerts and current prognoses.
 
     Raises
     ------
     TrialError
-        A trial is there already, or the declaration can't be.
+        The folder holds a trial, or the declaration is invalid.
     """
     folder = log_folder(home)
     if folder.exists() and any(folder.iterdir()):
@@ -59,12 +59,12 @@ def start(home: Path, declaration: str, now: datetime | None = None) -> LogEntry
 
 
 def seal_night(home: Path, now: datetime | None = None) -> LogEntry | None:
-    """Seal what is said tonight; None where there is no trial or its nights are over.
+    """Seal tonight's changes; None where no trial runs.
 
     Raises
     ------
     TrialError
-        The log is not what was sealed, or a rule of the operator's does not answer.
+        The log was altered, or a rule of the operator fails.
     """
     folder, now = log_folder(home), now or datetime.now(UTC)
     if not folder.is_dir():
@@ -82,7 +82,7 @@ def seal_night(home: Path, now: datetime | None = None) -> LogEntry | None:
 
 
 def after_night(home: Path) -> dict[str, str | None]:
-    """Seal a night of the house: the digest of the entry, None where nothing was sealed.
+    """Seal a night after its publication; return the entry's digest, None where nothing was sealed.
 
     Raises
     ------
@@ -97,9 +97,9 @@ def after_night(home: Path) -> dict[str, str | None]:
 
 
 def declaration_of(log: Sequence[LogEntry]) -> Declaration:
-    """The declaration that a trial was started with."""
+    """Return the declaration the trial was started with."""
     if not log or log[0].kind != "start":
-        raise TrialError("no trial was started here; `hdt trial start` does")
+        raise TrialError("no trial was started here; start one with `hdt trial start`")
     return read_declaration(log[0].body["declaration"])
 
 
@@ -109,7 +109,7 @@ def _collect_changes(
     alerts: dict[str, dict[str, dict[str, Any]]],
     prognoses: dict[Place, dict[str, Any]],
 ) -> dict[str, Any]:
-    """What is said now and was not said so before: flights known, alerts by source, prognoses."""
+    """Collect what changed since the last entry: flights on record, alerts by source, prognoses."""
     sources = {OURS: con.sql(_ALERTS).pl()}
     sources |= {rule.name: _by_rule(con, rule) for rule in declared.rules if rule.sql}
     new, withdrawn = {}, {}
@@ -131,7 +131,7 @@ def _by_rule(con: duckdb.DuckDBPyConnection, rule: Rule) -> pl.DataFrame:
 
 
 def as_alerts(frame: pl.DataFrame, where: str) -> pl.DataFrame:
-    """An operator's alerts in our columns; an alert's name is its place and the time at which it was raised."""
+    """Convert an operator's alerts to our columns; an alert is identified by its place and time raised."""
     if missing := [c for c in (*PLACE, "raised_at") if c not in frame.columns]:
         raise TrialError(f"{where} has no column {missing[0]}; alerts have {', '.join((*PLACE, 'raised_at'))}")
     times = [pl.col(c) if c in frame.columns else pl.lit(None).alias(c) for c in ("raised_at", "closed_at")]
@@ -145,7 +145,7 @@ def as_alerts(frame: pl.DataFrame, where: str) -> pl.DataFrame:
 def _state(
     log: Iterable[LogEntry],
 ) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[Place, dict[str, Any]]]:
-    """The last that was sealed of each alert and of each unit's prognosis."""
+    """Return the last sealed state of each alert and of each unit's prognosis."""
     alerts: dict[str, dict[str, dict[str, Any]]] = {}
     prognoses: dict[Place, dict[str, Any]] = {}
     for entry in log:

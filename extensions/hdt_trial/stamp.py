@@ -1,4 +1,4 @@
-"""RFC 3161 time stamps of the log's head, by the `openssl` program: a third party's word on when a digest was there.
+"""RFC 3161 time stamps of the log's head, by the `openssl` program: a third party attests when a digest existed.
 
 Nothing here talks to a network: the request is a file that someone takes to a time-stamping authority, and its answer
 is a file that is laid beside it.
@@ -19,7 +19,7 @@ def request(folder: Path, entry: LogEntry) -> Path:
 
 
 def faults(folder: Path, log: list[LogEntry], authority: Path) -> list[str]:
-    """Stamps that do not hold.
+    """List the stamps that fail verification.
 
     Parameters
     ----------
@@ -34,17 +34,17 @@ def faults(folder: Path, log: list[LogEntry], authority: Path) -> list[str]:
     for answer in stamps(folder):
         number = int(answer.stem) if answer.stem.isdecimal() else len(log)
         if number >= len(log):
-            messages.append(f"{answer.name} is of no entry")
+            messages.append(f"{answer.name} belongs to no entry")
             continue
         try:
             _openssl("ts", "-verify", "-digest", log[number].digest, "-in", str(answer), "-CAfile", str(authority))
         except TrialError:
-            messages.append(f"{answer.name} does not stamp entry {number} as it is")
+            messages.append(f"{answer.name} does not match entry {number}")
     return messages
 
 
 def stamps(folder: Path) -> list[Path]:
-    """Answers that lie beside the log."""
+    """List the replies stored beside the log."""
     return sorted(folder.glob("*.tsr"))
 
 

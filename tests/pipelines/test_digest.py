@@ -53,7 +53,7 @@ def test_the_same_night_twice_is_no_change_and_an_operator_sees_its_own(two_nigh
 
 
 @pytest.mark.parametrize(
-    ("then", "now", "flown", "moved"),
+    ("then", "now", "flown", "expected"),
     [
         ((40, 80, 120), (30, 70, 110), 10, False),  # ten flights flown, ten fewer left
         ((40, 80, 120), (10, 29, 60), 10, True),
@@ -61,13 +61,13 @@ def test_the_same_night_twice_is_no_change_and_an_operator_sees_its_own(two_nigh
         ((40, 200, 300), (200, 300, 300), 10, False),  # 300 stands for 300 or more
     ],
 )
-def test_an_outlook_moved_where_it_left_its_own_interval(then, now, flown, moved):
+def test_an_outlook_moved_where_it_left_its_own_interval(then, now, flown, expected):
     def state(outlook: tuple[float, ...], n: int, life: int = 0) -> dict:
         names = dict(zip(("rul_low", "rul_flights", "rul_high"), outlook, strict=True))
         row = {"operator": "AAA", "tail": "T-1", "pack": 1, "component": "HX", "life": life, "n_flights": n}
         return EMPTY | {"outlook": {"one": row | names}}
 
-    assert ("moved" in compare(state(then, 20), state(now, 20 + flown)).changes) is moved
+    assert ("moved" in compare(state(then, 20), state(now, 20 + flown)).changes) is expected
     assert compare(state(then, 20), state(now, 20 + flown, life=1)).empty, "another unit has an outlook of its own"
 
 

@@ -155,9 +155,9 @@ def certificate(tmp_path_factory) -> Path:
         pytest.skip("no openssl to make a certificate with")
     file = tmp_path_factory.mktemp("tls") / "both.pem"
     names = "subjectAltName=DNS:localhost,IP:127.0.0.1"
-    made = f"openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext {names}"
-    made = [*made.split(), "-keyout", f"{file}.key", "-out", str(file)]
-    subprocess.run(made, check=True, capture_output=True)
+    command = f"openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext {names}"
+    command = [*command.split(), "-keyout", f"{file}.key", "-out", str(file)]
+    subprocess.run(command, check=True, capture_output=True)
     return file
 
 
@@ -166,19 +166,19 @@ def mail_server(certificate: Path) -> Iterator[tuple[int, list]]:
     """A real SMTP server that wants STARTTLS and a password; its port and the envelopes it took."""
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     context.load_cert_chain(certificate, f"{certificate}.key")
-    taken: list = []
+    envelopes: list = []
 
     class Box:
         async def handle_DATA(self, server, session, envelope) -> str:  # noqa: N802
-            taken.append(envelope)
+            envelopes.append(envelope)
             return "250 ok"
 
-    def known(server, session, envelope, mechanism, given) -> AuthResult:
-        return AuthResult(success=(given.login, given.password) == (b"hdt", SECRET.encode()), handled=False)
+    def authenticate(server, session, envelope, mechanism, credentials) -> AuthResult:
+        return AuthResult(success=(credentials.login, credentials.password) == (b"hdt", SECRET.encode()), handled=False)
 
     class Server(Controller):
         def factory(self) -> SMTP:
-            return SMTP(self.handler, require_starttls=True, tls_context=context, authenticator=known,
+            return SMTP(self.handler, require_starttls=True, tls_context=context, authenticator=authenticate,
                         auth_required=True, hostname="localhost")  # fmt: skip
 
     with socket.create_server(("127.0.0.1", 0)) as free:
@@ -186,7 +186,7 @@ def mail_server(certificate: Path) -> Iterator[tuple[int, list]]:
     server = Server(Box(), hostname="127.0.0.1", port=port)
     server.start()
     try:
-        yield port, taken
+        yield port, envelopes
     finally:
         server.stop()
 
@@ -194,7 +194,7 @@ def mail_server(certificate: Path) -> Iterator[tuple[int, list]]:
 def test_an_e_mail_goes_over_starttls_with_text_page_and_json(home, certificate, monkeypatch):
     monkeypatch.setenv("HDT_SMTP_USER", "hdt")
     monkeypatch.setenv("HDT_SMTP_PASSWORD", SECRET)
-    with mail_server(certificate) as (port, taken):
+    with mail_server(certificate) as (port, envelopes):
         receiver = {"name": "mcc", "kind": "mail", "host": "127.0.0.1", "port": port, "from": "hdt@airline.example",
                     "to": ["mcc@airline.example", "eng@airline.example"], "user_env": "HDT_SMTP_USER",
                     "password_env": "HDT_SMTP_PASSWORD"}  # fmt: skip
@@ -207,7 +207,7 @@ def test_an_e_mail_goes_over_starttls_with_text_page_and_json(home, certificate,
         (home / "notify/sent.json").unlink()
         (line,) = send_digests(home)
         assert SECRET not in line
-    (envelope,) = taken
+    (envelope,) = envelopes
     assert envelope.rcpt_tos == ["mcc@airline.example", "eng@airline.example"]
     message = message_from_bytes(envelope.content, policy=policy.default)
     assert message["Subject"] == "Fleet: 2 new"
@@ -220,7 +220,7 @@ MAIL = {"name": "m", "kind": "mail", "host": "h", "from": "a@b", "to": ["a@b"]}
 
 
 @pytest.mark.parametrize(
-    ("receiver", "says"),
+    ("receiver", "message"),
     [
         ({"kind": "mail"}, "receiver 1: name is missing"),
         ({"name": "m", "kind": "fax"}, "receiver 1 (m): kind is 'fax'; there are mail, webhook"),
@@ -235,18 +235,18 @@ MAIL = {"name": "m", "kind": "mail", "host": "h", "from": "a@b", "to": ["a@b"]}
         ({"name": "w", "kind": "webhook", "url": "http://hooks.example/abc"}, "has to begin with https://"),
     ],
 )
-def test_a_wrong_declaration_is_told_with_file_and_key(tmp_path, receiver, says):
+def test_a_wrong_declaration_is_told_with_file_and_key(tmp_path, receiver, message):
     declare(tmp_path, receiver)
-    with pytest.raises(NotifyError, match=re.escape(says)) as error:
+    with pytest.raises(NotifyError, match=re.escape(message)) as error:
         receivers_of(tmp_path)
     assert str(error.value).startswith(str(tmp_path / "notify.toml"))
     assert "hooks.example" not in str(error.value)
 
 
 def test_every_key_is_documented():
-    said = (Path(__file__).parents[2] / "docs/howto-cases.md").read_text()
+    page = (Path(__file__).parents[2] / "docs/howto-cases.md").read_text()
     keys = {key for kind in declaration.KINDS.values() for key in kind} | set(declaration.KINDS)
-    assert [key for key in keys if f"`{key}`" not in said and f"{key} = " not in said] == []
+    assert [key for key in keys if f"`{key}`" not in page and f"{key} = " not in page] == []
 
 
 def test_a_night_goes_well_whoever_can_not_be_told(own_home):

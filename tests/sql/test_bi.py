@@ -32,10 +32,10 @@ def test_the_list_of_tables_is_the_views_and_the_other_schema_stands_apart(opene
 
 
 def test_columns_come_with_type_and_meaning(opened):
-    asked = "select data_type, comment from duckdb_columns() where schema_name = 'main' and not internal"
-    found = opened.sql(asked).fetchall()
-    assert len(found) > 300
-    assert all(kind and said for kind, said in found)
+    query = "select data_type, comment from duckdb_columns() where schema_name = 'main' and not internal"
+    columns = opened.sql(query).fetchall()
+    assert len(columns) > 300
+    assert all(kind and comment for kind, comment in columns)
 
 
 def test_every_view_is_read_while_another_process_reads(opened, sample_home):

@@ -7,8 +7,8 @@ from pipelines.storage.catalog import connect
 
 def test_each_query_has_the_answer_that_the_page_gives(sample_home):
     page = PAGE.read_text(encoding="utf-8")
-    asked = recipes(page)
-    assert len(asked) == page.count("```sql") == page.count("\n## ") == 20
+    pairs = recipes(page)
+    assert len(pairs) == page.count("```sql") == page.count("\n## ") == 20
     with connect(sample_home) as con:
-        wrong = [sql for sql, said in asked if answer(con, sql) != said]
+        wrong = [sql for sql, expected in pairs if answer(con, sql) != expected]
     assert wrong == [], "run `python tests/support/cookbook.py HOME`"

@@ -21,7 +21,7 @@ def flown(per_day: int, days: int, skip: range = range(0)) -> list[dict]:
     ]
 
 
-def said(n: int, points: dict[int, float] | None = None, **more: object) -> dict:
+def prognosis(n: int, points: dict[int, float] | None = None, **more: object) -> dict:
     chances = {f"p_event_{k}": p for k, p in (points or POINTS).items()}
     return flight(n) | {"pack": 1, "component": "HX"} | chances | {"rul_flights": 120.0, "rul_low": 24.0} | more
 
@@ -32,7 +32,7 @@ def stop(check: int | None = None, costs: dict | None = None, work: tuple[dict, 
     con = catalog(
         raw_flights=flown(3, days),
         twin_health=[fouling(n, 0.2) for n in range(days)],
-        prognoses=[*(said(n) for n in range(days - 1)), said(days - 1, **said_now)],
+        prognoses=[*(prognosis(n) for n in range(days - 1)), prognosis(days - 1, **said_now)],
         raw_maintenance=list(work),
         raw_checks=[
             own | {"planned_on": (START + dt.timedelta(days=days - 1 + n)).date(), "name": f"A{n}"}
@@ -62,10 +62,10 @@ def test_a_short_record_gives_what_it_has(days, weeks, rate):
 
 
 def test_flights_left_become_days():
-    con = catalog(raw_flights=flown(3, 60), prognoses=[said(59, rul_high=300.0)])
-    found = rows(con, "select days_left, days_left_low, days_left_high, due_on, status from due_dates")
-    assert found == [(40.0, 8.0, None, (START + dt.timedelta(days=59 + 40)).date(), "ok")]
-    con = catalog(raw_flights=flown(3, 60), prognoses=[said(59, rul_flights=300.0, beyond_horizon=True)])
+    con = catalog(raw_flights=flown(3, 60), prognoses=[prognosis(59, rul_high=300.0)])
+    dates = rows(con, "select days_left, days_left_low, days_left_high, due_on, status from due_dates")
+    assert dates == [(40.0, 8.0, None, (START + dt.timedelta(days=59 + 40)).date(), "ok")]
+    con = catalog(raw_flights=flown(3, 60), prognoses=[prognosis(59, rul_flights=300.0, beyond_horizon=True)])
     assert rows(con, "select status from due_dates") == [("beyond_horizon",)]
 
 
@@ -90,24 +90,24 @@ def test_without_a_check_the_horizon_of_the_cost_table_counts():
 
 
 def test_what_was_never_seen_of_the_fleet_is_not_made_up():
-    found = stop(check=10)
-    assert found["replace"][2:] == (None, None, None, "few_units")
-    assert found["wash"][2:] == (None, None, None, "few_units")
+    choices = stop(check=10)
+    assert choices["replace"][2:] == (None, None, None, "few_units")
+    assert choices["wash"][2:] == (None, None, None, "few_units")
 
 
 def test_a_new_units_chance_is_that_of_new_units_on_record():
-    found = stop(check=10, work=(replaced(10), replaced(30), replaced(5, component="CC")))
-    _, _, chance, cost, place, status = found["replace"]
+    choices = stop(check=10, work=(replaced(10), replaced(30), replaced(5, component="CC")))
+    _, _, chance, cost, place, status = choices["replace"]
     assert status == "ok"
-    assert chance == pytest.approx(found["defer"][2]), "every flight of this fleet says the same"
+    assert chance == pytest.approx(choices["defer"][2]), "every flight of this fleet says the same"
     assert cost == pytest.approx(1000 + 2000 * chance)
-    assert (found["defer"][4], place) == (1, 2)
+    assert (choices["defer"][4], place) == (1, 2)
 
 
 def test_costs_that_are_not_known_leave_the_cost_open():
-    found = stop(check=10, costs={})
-    assert found["defer"][3:] == (None, None, "no_cost")
-    assert found["defer"][2] is not None
+    choices = stop(check=10, costs={})
+    assert choices["defer"][3:] == (None, None, "no_cost")
+    assert choices["defer"][2] is not None
 
 
 def test_a_unit_is_followed_from_one_place_to_the_next_by_its_serial_number():
@@ -115,8 +115,8 @@ def test_a_unit_is_followed_from_one_place_to_the_next_by_its_serial_number():
     on = replaced(40) | {"tail": "T-2", "serial_off": "S9", "serial_on": "S1"}
     health = [fouling(n, 0.01, tail=t) for t in ("T-1", "T-2") for n in range(60)]
     con = catalog(twin_health=health, raw_maintenance=[off, on])
-    found = rows(con, "select tail, unit, serial, came_from from exchanger_lives order by tail, unit")
-    assert found == [
+    lives = rows(con, "select tail, unit, serial, came_from from exchanger_lives order by tail, unit")
+    assert lives == [
         ("T-1", 0, "S1", None),
         ("T-1", 1, "S2", None),
         ("T-2", 0, "S9", None),

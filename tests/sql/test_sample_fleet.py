@@ -63,16 +63,16 @@ def sample(sample_home: Path) -> Iterator[duckdb.DuckDBPyConnection]:
 
 
 def test_the_catalog_itself_says_what_each_view_and_column_means(sample):
-    asked = "select view_name from duckdb_views() where not internal and schema_name = 'main' and comment is null"
-    assert rows(sample, asked) == []
+    query = "select view_name from duckdb_views() where not internal and schema_name = 'main' and comment is null"
+    assert rows(sample, query) == []
     silent = "select table_name, column_name from duckdb_columns() where not internal and coalesce(comment, '') = ''"
     assert rows(sample, silent) == []
 
 
 def test_every_feature_is_declared_and_every_declared_feature_is_made(sample):
-    said = {name for name, *_ in rows(sample, "describe tables.features")}
-    assert said == set(TABLES["features"].schema.columns())
-    never = [c for c in said if rows(sample, f"select count({c}) from features") == [(0,)]]
+    columns = {name for name, *_ in rows(sample, "describe tables.features")}
+    assert columns == set(TABLES["features"].schema.columns())
+    never = [c for c in columns if rows(sample, f"select count({c}) from features") == [(0,)]]
     assert never == []
 
 
@@ -93,10 +93,10 @@ def test_the_sample_fleet_has_no_fault(sample, name):
 
 def test_as_of_is_what_was_known_by_then(sample):
     """The view against the plain question, asked of every seventh day: nothing later, nothing older than the last."""
-    said = rows(sample, "select on_date, tail, pack, departed_at, hx_fouling from as_of where day(on_date) % 7 = 0")
-    assert len(said) > 50
+    as_of = rows(sample, "select on_date, tail, pack, departed_at, hx_fouling from as_of where day(on_date) % 7 = 0")
+    assert len(as_of) > 50
     sample.execute("set TimeZone = 'UTC'")
-    for on_date, tail, pack, departed_at, fouling in said[::5]:
+    for on_date, tail, pack, departed_at, fouling in as_of[::5]:
         last = rows(
             sample,
             f"""select max(departed_at), arg_max(value, departed_at) from health_parameters

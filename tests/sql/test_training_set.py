@@ -20,21 +20,21 @@ DAY = pl.col("flight_id").str.slice(-11, 8).str.to_date("%Y%m%d")
 
 
 @pytest.fixture(scope="module")
-def told(sample_home) -> pl.DataFrame:
+def training_set(sample_home) -> pl.DataFrame:
     with connect(sample_home) as con:
         return con.sql("select * from training_set").pl()
 
 
 @pytest.mark.parametrize("cut", [dt.date(2024, 5, 3), dt.date(2024, 6, 4)])
-def test_features_are_those_of_a_history_that_ends_that_day(sample_home, told, cut):
+def test_features_are_those_of_a_history_that_ends_that_day(sample_home, training_set, cut):
     """The leak test: without the flights, messages and work of later days every earlier row is the same."""
     store, record = Store(sample_home), samples.record(sample_home)
     on = {"snapshots": DAY, "maintenance": pl.col("done_on"), "messages": pl.col("message_time").dt.date()}
-    made = {name: frame.filter(on[name] < cut) for name, frame in record.items()}
+    known_then = {name: frame.filter(on[name] < cut) for name, frame in record.items()}
     laws = json.loads(store.read_table("calibration_schedules").filter(name="controllers")["laws"].item())
-    made |= {"dsm": Dsm.from_dict(json.loads(store.read_table("calibration_dsm")["model"].item()))}
-    then = chain.run(made | {"laws": ControlSchedules.from_dict(laws)}, STEPS)["features"].sort(KEY)
-    now = told.filter(cut > DAY).sort(KEY)
+    known_then |= {"dsm": Dsm.from_dict(json.loads(store.read_table("calibration_dsm")["model"].item()))}
+    then = chain.run(known_then | {"laws": ControlSchedules.from_dict(laws)}, STEPS)["features"].sort(KEY)
+    now = training_set.filter(cut > DAY).sort(KEY)
     assert now.height > 400
     assert now["as_stated"].sum() > 20
     names = list(TABLES["features"].schema.columns())
@@ -44,15 +44,17 @@ def test_features_are_those_of_a_history_that_ends_that_day(sample_home, told, c
         assert far <= 1e-9 if far is not None else now[name].equals(then[name].cast(now[name].dtype)), name
 
 
-def test_no_flight_of_the_calibration_follows_a_row_that_stands_as_stated(sample_home, told):
+def test_no_flight_of_the_calibration_follows_a_row_that_stands_as_stated(sample_home, training_set):
     with connect(sample_home) as con:
         until = con.sql("select max(until_at) from tables.calibration_window").pl().item()
-    assert told.filter("as_stated")["departed_at"].min() >= until
-    assert told.filter(~pl.col("as_stated"))["departed_at"].max() < until
+    assert training_set.filter("as_stated")["departed_at"].min() >= until
+    assert training_set.filter(~pl.col("as_stated"))["departed_at"].max() < until
 
 
-def test_labels_are_the_units_lives_counted_down(told):
-    own = told.filter(pl.col("label_hx_flights").is_not_null()).sort(*KEY[:2], "pack", "departed_at", "flight_id")
+def test_labels_are_the_units_lives_counted_down(training_set):
+    own = training_set.filter(pl.col("label_hx_flights").is_not_null()).sort(
+        *KEY[:2], "pack", "departed_at", "flight_id"
+    )
     steps = own.select(pl.col("label_hx_flights").diff().over("split_unit")).to_series().drop_nulls()
     assert set(steps.to_list()) == {-1}
     events = own.filter(label_hx_flights=0)
@@ -69,33 +71,33 @@ ENDS = [
 ]
 
 
-def said(n: int, low: float, middle: float, high: float) -> dict:
-    told = {"pack": 1, "component": "HX", "model_version": "m", "split": "live", "p_event_50": 0.1}
-    return flight(n) | told | {"rul_low": low, "rul_flights": middle, "rul_high": high}
+def prognosis(n: int, low: float, middle: float, high: float) -> dict:
+    fields = {"pack": 1, "component": "HX", "model_version": "m", "split": "live", "p_event_50": 0.1}
+    return flight(n) | fields | {"rul_low": low, "rul_flights": middle, "rul_high": high}
 
 
 def test_each_flight_has_the_label_of_the_unit_that_flew_it():
     con = catalog(features=[flight(n) | {"pack": 1} for n in range(60)], prognosis_lives=ENDS)
-    found = con.sql("select * from training_set order by departed_at").pl()
-    assert found["label_hx_flights"].to_list() == [*range(20, -1, -1), None, *range(38, 0, -1)]
-    assert found["label_hx_censored"].to_list() == [False] * 21 + [None] + [True] * 38
-    assert found["split_unit"].unique().sort().to_list() == ["AAA/T-1/1/0", "AAA/T-1/1/1"]
-    assert found["label_cc_flights"].null_count() == 60
+    labels = con.sql("select * from training_set order by departed_at").pl()
+    assert labels["label_hx_flights"].to_list() == [*range(20, -1, -1), None, *range(38, 0, -1)]
+    assert labels["label_hx_censored"].to_list() == [False] * 21 + [None] + [True] * 38
+    assert labels["split_unit"].unique().sort().to_list() == ["AAA/T-1/1/0", "AAA/T-1/1/1"]
+    assert labels["label_cc_flights"].null_count() == 60
 
 
 def test_an_interval_held_where_the_end_came_within_it():
     """Flight 5 is 15 flights before the message, flight 25 is 35 before the last flight on record."""
-    rows = [said(n, 1, 5, 10) for n in range(60)]
+    rows = [prognosis(n, 1, 5, 10) for n in range(60)]
     rows[5], rows[10], rows[25], rows[26] = (
-        said(5, 5, 12, 15), said(10, 0, 3, 9), said(25, 40, 60, 300), said(26, 10, 20, 30),
+        prognosis(5, 5, 12, 15), prognosis(10, 0, 3, 9), prognosis(25, 40, 60, 300), prognosis(26, 10, 20, 30),
     )  # fmt: skip
     con = catalog(prognoses=rows, prognosis_lives=ENDS)
     names = "interval_held, outlived_low, outlived_high, event_50, outcome"
     days = {n: flight(n)["flight_id"] for n in (5, 10, 25, 26)}
-    asked = f"select flight_id, {names} from prognosis_outcomes"
-    found = {r[0]: r[1:] for r in con.sql(asked).fetchall()}
-    assert found[days[5]] == (True, True, False, True, "event")
-    assert found[days[10]] == (False, True, True, True, "event")
-    assert found[days[25]] == (None, None, None, None, "open")
-    assert found[days[26]] == (None, True, True, None, "open")
-    assert flight(20)["flight_id"] not in found
+    query = f"select flight_id, {names} from prognosis_outcomes"
+    outcomes = {r[0]: r[1:] for r in con.sql(query).fetchall()}
+    assert outcomes[days[5]] == (True, True, False, True, "event")
+    assert outcomes[days[10]] == (False, True, True, True, "event")
+    assert outcomes[days[25]] == (None, None, None, None, "open")
+    assert outcomes[days[26]] == (None, True, True, None, "open")
+    assert flight(20)["flight_id"] not in outcomes

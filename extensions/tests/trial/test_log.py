@@ -170,4 +170,4 @@ def test_a_time_stamp_holds_for_its_entry_alone(sealed, tmp_path):
         subprocess.run(["openssl", *words.split()], check=True, capture_output=True)
     assert faults_of_stamps(folder, log, authority) == []
     query.with_suffix(".tsr").rename(folder / "00003.tsr")
-    assert faults_of_stamps(folder, log, authority) == ["00003.tsr does not stamp entry 3 as it is"]
+    assert faults_of_stamps(folder, log, authority) == ["00003.tsr does not match entry 3"]

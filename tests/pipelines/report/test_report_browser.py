@@ -34,34 +34,34 @@ def report(sample_home: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture
 def opened(browser: Browser, report: str):
     """The page in a window of a width, and what its console said."""
-    shown: list[Page] = []
-    said: list[str] = []
+    pages: list[Page] = []
+    console: list[str] = []
 
     def show(width: int = 1280, dark: bool = False) -> Page:
         page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme="dark" if dark else "light")
-        page.on("console", lambda m: said.append(m.text) if m.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("request", lambda r: said.append(r.url) if not r.url.startswith(("file:", "data:")) else None)
+        page.on("console", lambda m: console.append(m.text) if m.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: console.append(str(error)))
+        page.on("request", lambda r: console.append(r.url) if not r.url.startswith(("file:", "data:")) else None)
         page.goto(report)
-        shown.append(page)
+        pages.append(page)
         return page
 
     yield show
-    for page in shown:
+    for page in pages:
         page.close()
-    assert said == []
+    assert console == []
 
 
-def drawn(page: Page, chart: str = FIRST) -> None:
+def wait_until_drawn(page: Page, chart: str = FIRST) -> None:
     """Wait for a chart that was brought into view."""
     page.locator(chart).first.scroll_into_view_if_needed()
     page.locator(f"{chart} .bk-Figure").first.wait_for()
 
 
-def told_in_time(chart: Locator, ask: str, wanted: object) -> object:
+def told_in_time(chart: Locator, ask: str, expected: object) -> object:
     """What a chart answers, asked until it is what is wanted, for ten seconds: a busy machine draws late."""
     for _ in range(100):
-        if chart.evaluate(ask) == wanted:
+        if chart.evaluate(ask) == expected:
             break
         chart.page.wait_for_timeout(100)
     return chart.evaluate(ask)
@@ -105,7 +105,7 @@ def test_the_ranking_is_a_table_at_800_pixels(opened):
 
 def test_a_chart_zooms_and_comes_back(opened):
     page = opened()
-    drawn(page)
+    wait_until_drawn(page)
     span = "box => { const x = box.view.model.x_range; return x.end - x.start; }"
     chart = page.locator(FIRST).first
     whole, box = chart.evaluate(span), chart.bounding_box()
@@ -135,7 +135,7 @@ def test_units_are_switched_and_never_mixed(opened):
     assert re.search(r"\d °C|\d K\b|\bK\n", si)
     assert "°F" not in si
     figure = '#figures [data-units="1"]'
-    drawn(page, figure)
+    wait_until_drawn(page, figure)
     level = "box => box.view.model.y_range.start"
     before = page.locator(figure).nth(2).evaluate(level) if page.locator(figure).count() > 2 else None
     page.select_option("#units", "us")
@@ -150,7 +150,7 @@ def test_units_are_switched_and_never_mixed(opened):
 def test_the_ground_is_dark_where_the_reader_wants_it(opened):
     page = opened(dark=True)
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(22, 22, 22)"
-    drawn(page)
+    wait_until_drawn(page)
     axis = "box => box.view.model.below[0].major_label_text_color"
     assert page.locator(FIRST).first.evaluate(axis) == "#e6e6e6"
     page.emulate_media(color_scheme="light")
@@ -159,7 +159,7 @@ def test_the_ground_is_dark_where_the_reader_wants_it(opened):
 
 def test_a_chart_that_changes_while_it_is_drawn_is_there_once_and_as_asked_last(opened):
     page, figure = opened(), '#figures [data-units="1"]'
-    drawn(page, figure)
+    wait_until_drawn(page, figure)
     chart, level = page.locator(figure).first, "box => box.view.model.y_range.start"
     before = chart.evaluate(level)
     page.locator("#units").evaluate(

@@ -28,35 +28,37 @@ def sample_page(facts: Facts) -> str:
     return page(facts)
 
 
-def sound(found) -> None:
+def sound(parsed) -> None:
     """What holds of every page, whatever it shows."""
-    assert not found.open
-    assert not found.crossed
-    ids = found.values("id")
+    assert not parsed.open
+    assert not parsed.crossed
+    ids = parsed.values("id")
     assert len(ids) == len(set(ids))
     assert set(ids) >= PARTS
     # links stay on the page and lead somewhere; nothing is fetched
-    links = [v for v in found.values("href") if v != "data:,"]
+    links = [v for v in parsed.values("href") if v != "data:,"]
     assert {v[:1] for v in links} <= {"#"}
     assert {v[1:] for v in links} <= set(ids)
-    assert not found.values("src")
+    assert not parsed.values("src")
     # the library and ours run, and the data do not; no other script may
-    assert [v for tag, name, v in found.attributes if (tag, name) == ("script", "type")] == ["application/json"]
-    assert found.tags.count("script") - 1 == policy(found).count("sha256-") <= 2
-    assert not re.search(r"\b(nan|None|inf)\b", " ".join(found.words))
+    assert [v for tag, name, v in parsed.attributes if (tag, name) == ("script", "type")] == ["application/json"]
+    assert parsed.tags.count("script") - 1 == policy(parsed).count("sha256-") <= 2
+    assert not re.search(r"\b(nan|None|inf)\b", " ".join(parsed.words))
 
 
-def policy(found) -> str:
-    return next(v for v in found.values("content") if v.startswith("default-src"))
+def policy(parsed) -> str:
+    return next(v for v in parsed.values("content") if v.startswith("default-src"))
 
 
 def test_the_sample_page_is_sound(read, sample_page):
-    found = read(sample_page)
-    sound(found)
+    parsed = read(sample_page)
+    sound(parsed)
     assert "://" not in sample_page.replace(chart_script(), "")
     # nothing is fetched, no text becomes a program
-    assert policy(found).startswith("default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-")
-    assert "unsafe-eval" not in policy(found)
+    assert policy(parsed).startswith(
+        "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-"
+    )
+    assert "unsafe-eval" not in policy(parsed)
 
 
 def test_a_figure_is_the_same_whatever_was_drawn_before():
@@ -69,12 +71,12 @@ def test_same_catalog_same_bytes(sample_home, sample_page, tmp_path):
 
 
 def test_every_pack_is_ranked_and_drawn(facts, read, sample_page):
-    found = read(sample_page)
+    parsed = read(sample_page)
     packs = [pack_name(r) for r in facts["ranking"].to_dicts()]
     assert len(packs) == 4
-    drawn = [v for v in found.values("id") if v.startswith("pack-")]
-    assert len(drawn) == len(packs)
-    text = found.text()
+    cards = [v for v in parsed.values("id") if v.startswith("pack-")]
+    assert len(cards) == len(packs)
+    text = parsed.text()
     assert all(text.count(p) >= 2 for p in packs)
 
 
@@ -89,9 +91,9 @@ def test_the_first_table_has_a_row_a_pack_with_its_alerts_and_one_action(facts, 
 def test_the_figures_are_drawn(sample_page):
     figures = sample_page.split('id="figures"')[1].split("</section>")[0]
     assert figures.count("<figure") == 4
-    drawn = data(sample_page)["charts"]
+    charts = data(sample_page)["charts"]
     assert len(re.findall(r'data-chart="([^"]+)"', figures)) == 5
-    assert all(f"{name}-si" in drawn for name in re.findall(r'data-chart="([^"]+)"', figures))
+    assert all(f"{name}-si" in charts for name in re.findall(r'data-chart="([^"]+)"', figures))
 
 
 def data(page: str) -> dict:
@@ -101,9 +103,9 @@ def data(page: str) -> dict:
 
 def test_a_pack_is_drawn_as_the_catalog_says_it_is(facts, sample_page):
     """The last point of each chart is the pack's own with its interval; and whose the other is."""
-    drawn = data(sample_page)
+    content = data(sample_page)
     for row in facts["ranking"].to_dicts():
-        own = drawn["charts"][f"pack-{row['operator']}-{row['tail']}-{row['pack']}"]
+        own = content["charts"][f"pack-{row['operator']}-{row['tail']}-{row['pack']}"]
         assert own["own"]["y"][-1] == pytest.approx(100 * row["hx_fouling"], abs=0.06)
         around = 100 * 1.645 * row["hx_fouling_sd"]
         assert own["own"]["high"][-1] - own["own"]["low"][-1] == pytest.approx(2 * around, abs=0.11)
@@ -138,12 +140,12 @@ def test_units_are_chosen_by_one_word(facts, units, read):
 def test_an_empty_home_says_so(read, tmp_path):
     publish(tmp_path)
     write_report(tmp_path, tmp_path / "report.html")
-    found = read((tmp_path / "report.html").read_text(encoding="utf-8"))
-    sound(found)
-    text = found.text()
+    parsed = read((tmp_path / "report.html").read_text(encoding="utf-8"))
+    sound(parsed)
+    text = parsed.text()
     assert "No flight yet." in text
     assert "No alert has been raised." in text
-    assert "data-chart" not in {name for _, name, _ in found.attributes}
+    assert "data-chart" not in {name for _, name, _ in parsed.attributes}
 
 
 def first_flights(facts: Facts, n: int) -> Facts:
@@ -169,9 +171,9 @@ def first_flights(facts: Facts, n: int) -> Facts:
 
 @pytest.mark.parametrize("n", [1, 5])
 def test_a_few_flights_of_one_aircraft(facts, read, n):
-    found = read(page(first_flights(facts, n)))
-    sound(found)
-    text = found.text()
+    parsed = read(page(first_flights(facts, n)))
+    sound(parsed)
+    text = parsed.text()
     assert "Nothing to do tonight. 2 packs watched" in text
     assert "Not calibrated yet" in text
 
@@ -197,17 +199,17 @@ def test_fifty_aircraft_stay_below_five_megabytes(facts):
 
 def test_a_hostile_fleet_stays_in_its_place(facts, read, hostile, sample_page):
     def poison(frame: pl.DataFrame) -> pl.DataFrame:
-        kept = {"gap", "urgency", "parameter", "severity", "scope", "kind", "action", "component"}
-        texts = [c for c, t in frame.schema.items() if t == pl.String and c not in kept]
+        codes = {"gap", "urgency", "parameter", "severity", "scope", "kind", "action", "component"}
+        texts = [c for c, t in frame.schema.items() if t == pl.String and c not in codes]
         return frame.with_columns(pl.concat_str(pl.col(c).fill_null(""), pl.lit(hostile)).alias(c) for c in texts)
 
     frames = {name: poison(f) for name, f in facts.frames.items()}
     bad = replace(facts, frames=frames, twin=poison(facts.twin), card={hostile: {hostile: hostile}, "list": [hostile]})
     html = page(bad)
-    found, plain = read(html), read(sample_page)
-    assert found.tags.count("script") == plain.tags.count("script")
-    assert "img" not in found.tags
-    assert set(found.tags) <= set(plain.tags) | {"ul"}
-    assert not [name for _, name, _ in found.attributes if name.startswith("on")]
+    parsed, plain = read(html), read(sample_page)
+    assert parsed.tags.count("script") == plain.tags.count("script")
+    assert "img" not in parsed.tags
+    assert set(parsed.tags) <= set(plain.tags) | {"ul"}
+    assert not [name for _, name, _ in parsed.attributes if name.startswith("on")]
     assert "\u202e" not in html
     assert "\x00" not in html

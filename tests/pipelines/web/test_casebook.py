@@ -51,8 +51,8 @@ def page(home):
     return lambda name: Client(app, {HEADER: name})
 
 
-def say(client: Client, alert: str, kind: str, seen: int = 0, **asked: str):
-    return client.post(f"/case/{alert}", data={"kind": kind, "seen": str(seen)} | asked)
+def say(client: Client, alert: str, kind: str, line: int = 0, **fields: str):
+    return client.post(f"/case/{alert}", data={"kind": kind, "seen": str(line)} | fields)
 
 
 def test_who_has_no_role_sees_and_changes_nothing(page, home):
@@ -72,8 +72,8 @@ def test_an_engineer_takes_a_case_through_its_life(page, home):
     assert "assigned to Bo" in say(client, "wear", "assign", 1, assignee="Bo").text
     done = say(client, "wear", "close", 2, finding="clean", on="2024-04-09", note="looked")
     assert "NO_FAULT_FOUND, inspected on 2024-04-09" in done.text
-    found = find_case(home, "wear")
-    assert (found["state"], found["found_by"], found["owner"]) == ("answered", "Eng", "Bo")
+    case = find_case(home, "wear")
+    assert (case["state"], case["found_by"], case["owner"]) == ("answered", "Eng", "Bo")
     assert "assigned to Bo" not in client.get("/").text
     assert client.get("/docs").status_code == 404
 
@@ -168,15 +168,15 @@ def test_the_second_of_two_is_told_who_was_first(page, home):
 
 def test_nobody_gets_ahead_of_others_by_a_line_that_there_is_not(page, home):
     assert say(page("Eng"), "wear", "assign", 0, assignee="Eng").status_code == 200
-    for seen in (2, 99, 10**17):
-        late = say(page("Own"), "wear", "assign", seen, assignee="Own")
+    for line in (2, 99, 10**17):
+        late = say(page("Own"), "wear", "assign", line, assignee="Own")
         assert late.status_code == 409
-        assert f"line {seen} of the log is none about this case" in late.text
+        assert f"line {line} of the log is none about this case" in late.text
     assert find_case(home, "wear")["owner"] == "Eng"
 
 
 @pytest.mark.parametrize(
-    ("kind", "asked", "status"),
+    ("kind", "fields", "status"),
     [
         ("close", {"finding": "rusty"}, 422),
         ("mute", {"until": "yesterday", "note": "x"}, 422),
@@ -189,8 +189,8 @@ def test_nobody_gets_ahead_of_others_by_a_line_that_there_is_not(page, home):
         ("acknowledge", {"note": "x" * 70_000}, 413),
     ],
 )
-def test_what_makes_no_sense_is_told_and_not_written(page, home, kind, asked, status):
-    assert say(page("Eng"), "wear", kind, **({"seen": 0} | asked)).status_code == status
+def test_what_makes_no_sense_is_told_and_not_written(page, home, kind, fields, status):
+    assert say(page("Eng"), "wear", kind, **({"seen": 0} | fields)).status_code == status
     assert history_of(home, "wear") == []
 
 

@@ -117,8 +117,8 @@ def test_three_people_work_at_once_and_the_second_is_told(enter, home):
     expect(bo.get_by_role("status")).to_contain_text("found clean")
     vi.reload()
     expect(vi.locator("main")).to_contain_text("answered, with Ada")
-    found = find_case(home, "wear")
-    assert (found["owner"], found["found_by"], found["state"]) == ("Ada", "Bo", "answered")
+    case = find_case(home, "wear")
+    assert (case["owner"], case["found_by"], case["state"]) == ("Ada", "Bo", "answered")
 
 
 @pytest.mark.parametrize("width", [390, 800, 1280])

@@ -86,12 +86,12 @@ def test_every_answer_has_the_headers_and_the_page_may_be_stricter():
     ("origin", "opens"), [(b"http://127.0.0.1:3000", True), (b"http://evil.example", False), (None, False)]
 )
 def test_no_socket_opens_to_another_page(origin, opens):
-    sent = []
+    replies = []
 
     async def send(message) -> None:
-        sent.append(message["type"])
+        replies.append(message["type"])
 
     headers = [(b"host", b"127.0.0.1:3000"), *([(b"origin", origin)] if origin else [])]
     scope = {"type": "websocket", "path": "/graphql", "query_string": b"", "headers": headers}
     asyncio.run(GUARD(scope, None, send))
-    assert sent == ["websocket.accept" if opens else "websocket.close"]
+    assert replies == ["websocket.accept" if opens else "websocket.close"]

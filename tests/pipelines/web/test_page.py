@@ -18,7 +18,7 @@ import pytest
 from pipelines.orchestration.runs import open_instance
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-ASKS = "{ assetNodes { assetKey { path } } }"
+QUERY = "{ assetNodes { assetKey { path } } }"
 
 
 @contextmanager
@@ -31,8 +31,8 @@ def opened(landing: Path, home: Path, *options: str) -> Iterator[tuple[int, str]
         address, _, token = line.split()[-1].partition("?token=")
         yield int(address.rstrip("/").rpartition(":")[2]), token
         server.send_signal(signal.SIGTERM)
-        _, said = server.communicate(timeout=60)
-    assert (server.returncode, said.splitlines()[-1]) == (143, "hdt: stopped"), said
+        _, stderr = server.communicate(timeout=60)
+    assert (server.returncode, stderr.splitlines()[-1]) == (143, "hdt: stopped"), stderr
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def page(sample_landing, home) -> Iterator[tuple[int, str]]:
 
 
 @pytest.fixture(scope="module")
-def shown(sample_landing, home) -> Iterator[int]:
+def plain_port(sample_landing, home) -> Iterator[int]:
     """Port of the page as it is without an option."""
     with opened(sample_landing, home) as (port, token):
         assert token == ""
@@ -96,19 +96,19 @@ CHANGES = {
 }
 
 
-def test_without_being_asked_the_page_changes_nothing(shown, home):
+def test_without_being_asked_the_page_changes_nothing(plain_port, home):
     before = runs(home)
-    status, answer = over_http(shown, "POST", "/graphql", ASKS)
+    status, answer = over_http(plain_port, "POST", "/graphql", QUERY)
     assert status == 200
     assert {"path": ["features"]} in [node["assetKey"] for node in json.loads(answer)["data"]["assetNodes"]]
     for name, change in CHANGES.items():
-        _, answer = over_http(shown, "POST", "/graphql", f"mutation {{ {change} }}")
+        _, answer = over_http(plain_port, "POST", "/graphql", f"mutation {{ {change} }}")
         assert b"UnauthorizedError" in answer, (name, answer)
-    assert over_http(shown, "POST", "/report_asset_materialization/features", "x")[0] == 401
-    assert b"UnauthorizedError" in over_http(shown, "POST", "/graphql", deletion(home))[1]
-    assert over_http(shown, "GET", "/graphql?query=mutation")[0] == 405
-    assert over_http(shown, "POST", "/graphql", ASKS, Origin="http://evil.example")[0] == 403
-    assert over_http(shown, "GET", "/", Host="evil.example")[0] == 403
+    assert over_http(plain_port, "POST", "/report_asset_materialization/features", "x")[0] == 401
+    assert b"UnauthorizedError" in over_http(plain_port, "POST", "/graphql", deletion(home))[1]
+    assert over_http(plain_port, "GET", "/graphql?query=mutation")[0] == 405
+    assert over_http(plain_port, "POST", "/graphql", QUERY, Origin="http://evil.example")[0] == 403
+    assert over_http(plain_port, "GET", "/", Host="evil.example")[0] == 403
     assert runs(home) == before
 
 
@@ -117,7 +117,7 @@ def test_a_run_goes_only_for_who_brought_the_token(page, home):
     delete = deletion(home)
     searched = f"/graphql?query={delete.replace(' ', '%20').replace(chr(34), '%22')}"
     assert over_http(port, "GET", "/?token=another")[0] == 403
-    assert [over_http(port, "POST", "/graphql", asked)[0] for asked in (delete, ASKS)] == [401, 401]
+    assert [over_http(port, "POST", "/graphql", query)[0] for query in (delete, QUERY)] == [401, 401]
     own = session(port, token)
     assert over_http(port, "GET", searched, **own)[0] == 405
     assert over_http(port, "POST", "/graphql", delete, Origin="http://evil.example", **own)[0] == 403
@@ -128,7 +128,7 @@ def test_a_run_goes_only_for_who_brought_the_token(page, home):
     assert json.loads(answer)["data"]["deleteRun"] == {"__typename": "DeletePipelineRunSuccess"}
     assert runs(home) == before - {min(before)}
     assert over_http(port, "POST", "/logout", **own)[0] == 200
-    assert over_http(port, "POST", "/graphql", ASKS, **own)[0] == 401
+    assert over_http(port, "POST", "/graphql", QUERY, **own)[0] == 401
 
 
 def test_no_socket_opens_to_another_page_and_none_changes_anything(page, home):
@@ -164,9 +164,9 @@ def browse(address: str, profile: Path) -> str:
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 def test_the_page_works_in_a_browser(page, home, tmp_path):
     port, token = page
-    seen = browse(f"http://127.0.0.1:{port}/runs?token={token}", tmp_path / "profile")
-    assert "token=" not in seen
-    assert any(run[:8] in seen for run in runs(home)), seen[-2000:]
+    html = browse(f"http://127.0.0.1:{port}/runs?token={token}", tmp_path / "profile")
+    assert "token=" not in html
+    assert any(run[:8] in html for run in runs(home)), html[-2000:]
 
 
 class Evil(http.server.SimpleHTTPRequestHandler):
@@ -197,9 +197,9 @@ def test_another_page_in_the_browser_changes_nothing(page, home, tmp_path):
     </script>""".encode()
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Evil) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        seen = browse(f"http://127.0.0.1:{server.server_port}/", tmp_path / "profile")
+        html = browse(f"http://127.0.0.1:{server.server_port}/", tmp_path / "profile")
         server.shutdown()
-    assert "tried 3" in seen
+    assert "tried 3" in html
     assert runs(home) == before
 
 

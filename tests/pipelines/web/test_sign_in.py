@@ -91,9 +91,9 @@ def test_asking_without_a_session_is_never_locked_out_and_leaves_nothing_behind(
         assert client.get(f"/?token=guess-{n}").status_code == 403
         client.cookies.clear()
     gc.collect()  # what waits for the collector is not left behind
-    grown = tracemalloc.get_traced_memory()[0] - before
+    growth = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    assert grown < 200 * 2_000
+    assert growth < 200 * 2_000
     assert client.get(f"/?token={token.token}").status_code == 303
 
 

@@ -20,10 +20,10 @@ def test_lead_is_counted_in_flights_from_the_first_alert_of_that_unit():
         raw_messages=[message(19), message(50), message(51), message(30, "21-51-CCFLOW")],
         features_alerts=[alert("old", 5, closed=21), alert("new", 40), alert("door", 41, component="RAM_DOOR")],
     )
-    found = rows(
+    leads = rows(
         con, "select component, alert_id, lead_flights, n_messages from alert_lead_times order by message_time"
     )
-    assert found == [("HX", "old", 14, 1), ("CC", None, None, 1), ("HX", "new", 10, 2)]
+    assert leads == [("HX", "old", 14, 1), ("CC", None, None, 1), ("HX", "new", 10, 2)]
 
 
 def test_an_alert_of_the_unit_before_does_not_count_as_a_warning():
@@ -53,8 +53,14 @@ def test_outcomes_of_alerts():
             alert("still", 92),
         ],
     )
-    found = dict(rows(con, "select alert_id, outcome from alert_outcomes"))
-    assert found == {"found": "confirmed", "spare": "replaced", "none": "nothing", "told": "message", "still": "open"}
+    outcomes = dict(rows(con, "select alert_id, outcome from alert_outcomes"))
+    assert outcomes == {
+        "found": "confirmed",
+        "spare": "replaced",
+        "none": "nothing",
+        "told": "message",
+        "still": "open",
+    }
     assert rows(con, "select alert_id, open_days from false_alarms") == [("none", 5.0)]
     counts = "n_alerts, n_judged, n_right, n_open, n_unjudged"
     assert rows(con, f"select {counts} from alert_hit_rates") == [(5, 3, 2, 1, 1)]
@@ -65,8 +71,8 @@ def test_outcomes_of_alerts():
 
 def proportion_interval(right: int, n: int) -> tuple[float, float]:
     """Wilson's interval of 90 %, as SciPy has it."""
-    told = binomtest(right, n).proportion_ci(0.9, "wilson")
-    return told.low, told.high
+    interval = binomtest(right, n).proportion_ci(0.9, "wilson")
+    return interval.low, interval.high
 
 
 def test_lives_and_their_slopes():
@@ -74,12 +80,12 @@ def test_lives_and_their_slopes():
     second = [fouling(40 + n, 0.004 * n) for n in range(40)]
     other = [fouling(n, 0.001 * n, tail="T-2") for n in range(40)]
     con = catalog(twin_health=first + second + other, raw_maintenance=[replaced(39)])
-    found = rows(
+    lives = rows(
         con, "select tail, unit, n_flights, removed_on, fouling_per_100_flights from exchanger_lives order by 1, 2"
     )
     day = (START + dt.timedelta(days=39)).date()
-    assert [f[:4] for f in found] == [("T-1", 0, 40, day), ("T-1", 1, 40, None), ("T-2", 0, 40, None)]
-    assert [f[4] for f in found] == pytest.approx([0.2, 0.4, 0.1])
+    assert [f[:4] for f in lives] == [("T-1", 0, 40, day), ("T-1", 1, 40, None), ("T-2", 0, 40, None)]
+    assert [f[4] for f in lives] == pytest.approx([0.2, 0.4, 0.1])
     assert rows(con, "select tail, unit, round(above_fleet, 9) from fouling_fast") == [("T-1", 1, 0.2)]
 
 
@@ -103,18 +109,18 @@ def test_work_is_compared_before_and_after():
 
 def test_gaps():
     def leg(day: int, number: int) -> dict:
-        made = flight(day)
-        return made | {
-            "flight_id": made["flight_id"][:-2] + f"{number:02d}",
-            "departed_at": made["departed_at"] + dt.timedelta(hours=number),
+        row = flight(day)
+        return row | {
+            "flight_id": row["flight_id"][:-2] + f"{number:02d}",
+            "departed_at": row["departed_at"] + dt.timedelta(hours=number),
         }
 
     days = [d for d in range(40) if not 10 <= d < 20]
     flown = [leg(d, 1) for d in days] + [leg(5, 4)] + [flight(d, tail="T-2") for d in range(20)]
     fleet = [{"operator": "AAA", "tail": t} for t in ("T-1", "T-2", "T-3")]
     con = catalog(raw_flights=flown, raw_fleet=fleet)
-    found = rows(con, "select tail, gap, n_flights, round(silent_days) from data_gaps order by 1, 2")
-    assert found == [
+    gaps = rows(con, "select tail, gap, n_flights, round(silent_days) from data_gaps order by 1, 2")
+    assert gaps == [
         ("T-1", "missing_leg", 2, None),
         ("T-1", "silence", None, 11),
         ("T-2", "silent_now", None, 20),
@@ -139,7 +145,7 @@ def test_sensors_are_judged_by_what_was_recorded_and_what_was_left():
 
 def test_the_ranking_puts_first_what_cannot_wait():
     health = [fouling(1, loss, tail=t) for t, loss in (("T-1", 0.1), ("T-2", 0.3), ("T-3", 0.2), ("T-4", 0.01))]
-    said = {
+    prognosis = {
         "component": "HX",
         "rul_flights": 10.0,
         "rul_low": 1.0,
@@ -148,11 +154,12 @@ def test_the_ranking_puts_first_what_cannot_wait():
         "split": "live",
     }
     outlook = [
-        flight(1, tail=t) | said | {"pack": 1, "p_event_50": p} for t, p in (("T-2", 0.05), ("T-3", 0.7), ("T-4", 0.01))
+        flight(1, tail=t) | prognosis | {"pack": 1, "p_event_50": p}
+        for t, p in (("T-2", 0.05), ("T-3", 0.7), ("T-4", 0.01))
     ]
     con = catalog(twin_health=health, prognoses=outlook, features_alerts=[alert("a", 1) | {"severity": "high"}])
-    found = rows(con, "select tail, urgency from fleet_ranking order by place")
-    assert found == [("T-3", "act"), ("T-1", "act"), ("T-2", "none"), ("T-4", "none")]
+    ranking = rows(con, "select tail, urgency from fleet_ranking order by place")
+    assert ranking == [("T-3", "act"), ("T-1", "act"), ("T-2", "none"), ("T-4", "none")]
 
 
 def test_an_empty_catalog_answers_every_question():
@@ -174,13 +181,13 @@ def credited(*work: dict, **alerts: dict) -> dict[str, tuple]:
 def test_an_inspection_is_credited_to_the_alert_that_was_open_on_its_day():
     """Not to one that had closed twelve days before."""
     clean = alert("", 38, 43) | {"closed_reason": "found_clean"}
-    told = credited(inspected(42), old=alert("", 10, 30), open=clean)
-    assert told == {"old": ("nothing", None), "open": ("no_fault_found", "WO42")}
+    credits = credited(inspected(42), old=alert("", 10, 30), open=clean)
+    assert credits == {"old": ("nothing", None), "open": ("no_fault_found", "WO42")}
 
 
 def test_without_an_open_alert_work_is_credited_to_the_one_that_closed_last():
-    told = credited(inspected(42), older=alert("", 10, 32), last=alert("", 33, 38), long=alert("", 5, 20))
-    assert told == {"older": ("nothing", None), "last": ("no_fault_found", "WO42"), "long": ("nothing", None)}
+    credits = credited(inspected(42), older=alert("", 10, 32), last=alert("", 33, 38), long=alert("", 5, 20))
+    assert credits == {"older": ("nothing", None), "last": ("no_fault_found", "WO42"), "long": ("nothing", None)}
 
 
 def test_work_on_the_next_unit_says_nothing_of_an_alert_that_ended_with_the_last():
@@ -194,14 +201,14 @@ def test_an_inspection_that_missed_it_is_corrected_by_what_was_found_soon_after(
 
 
 def test_what_an_engineer_closed_is_credited_to_that_alert_alone():
-    told = credited(inspected(42, "FOULED", closes_alert_id="mine"), mine=alert("", 38), beside=alert("", 30))
-    assert told == {"mine": ("confirmed", "WO42"), "beside": ("open", None)}
+    credits = credited(inspected(42, "FOULED", closes_alert_id="mine"), mine=alert("", 38), beside=alert("", 30))
+    assert credits == {"mine": ("confirmed", "WO42"), "beside": ("open", None)}
 
 
 def test_the_published_hit_rate_follows_what_was_found():
-    known = [alert(f"a{n}", 10 * n, 10 * n + 5) | {"closed_reason": "found_clean"} for n in range(1, 5)]
+    closed_alerts = [alert(f"a{n}", 10 * n, 10 * n + 5) | {"closed_reason": "found_clean"} for n in range(1, 5)]
     work = [inspected(10 * n + 4, "FOULED" if n < 4 else "NO_FAULT_FOUND") for n in range(1, 5)]
-    con = catalog(raw_maintenance=work, features_alerts=[*known, alert("open", 59)])
+    con = catalog(raw_maintenance=work, features_alerts=[*closed_alerts, alert("open", 59)])
     ((n, still, hits, misses, rate, low, high),) = rows(
         con,
         """select n_alerts, n_open, n_right, n_judged - n_right, hit_rate, hit_rate_low, hit_rate_high
@@ -212,13 +219,13 @@ def test_the_published_hit_rate_follows_what_was_found():
 
 
 def test_a_prognosis_that_an_inspection_contradicts_says_so_until_the_part_is_renewed():
-    said = [flight(n) | {"pack": 1, "component": "HX", "p_event_50": 0.9} for n in range(60)]
-    found = alert("a", 10, 20) | {"closed_reason": "found_clean"}
+    prognoses = [flight(n) | {"pack": 1, "component": "HX", "p_event_50": 0.9} for n in range(60)]
+    inspected_alert = alert("a", 10, 20) | {"closed_reason": "found_clean"}
     con = catalog(
         raw_flights=[flight(n) for n in range(60)],
         twin_health=[fouling(n, 0.2) for n in range(60)],
-        prognoses=said,
-        features_alerts=[found],
+        prognoses=prognoses,
+        features_alerts=[inspected_alert],
         raw_maintenance=[replaced(39)],
     )
     assert [f[:2] for f in rows(con, "select status, count(*)::int from prognoses group by 1 order by 1")] == [
@@ -235,19 +242,25 @@ def test_loss_and_margin_by_route_and_air():
     hot = [flight(n) | {"origin": "AAAA", "destination": "HHHH"} for n in range(10)]
     cold = [flight(n) | {"origin": "AAAA", "destination": "CCCC"} for n in range(10, 20)]
     air = {"HHHH": (291.0, 5.0), "CCCC": (262.0, 25.0)}
-    said = []
+    features = []
     for n, flown in enumerate([*hot, *cold]):
-        loss, seen = (0.01 * n, n) if n < 10 else (0.0, n - 10)
+        loss, n_seen = (0.01 * n, n) if n < 10 else (0.0, n - 10)
         tat, margin = air[flown["destination"]]
-        own = {"pack": 1, "hx_fouling": loss, "flights_seen_of_unit": seen, "tat_cruise_k": tat, "hx_margin_k": margin}
-        said.append(flight(n) | own)
-    con = catalog(raw_flights=[*hot, *cold], features=said)
-    asked = "destination, ambient_k, n_flights, round(gained_per_100_flights, 6), margin_k"
-    found = rows(con, f"select {asked} from routes order by destination")
-    assert found == [("CCCC", 260.0, 10, 0.0, 25.0), ("HHHH", 290.0, 10, 1.0, 5.0)]
+        own = {
+            "pack": 1,
+            "hx_fouling": loss,
+            "flights_seen_of_unit": n_seen,
+            "tat_cruise_k": tat,
+            "hx_margin_k": margin,
+        }
+        features.append(flight(n) | own)
+    con = catalog(raw_flights=[*hot, *cold], features=features)
+    columns = "destination, ambient_k, n_flights, round(gained_per_100_flights, 6), margin_k"
+    routes = rows(con, f"select {columns} from routes order by destination")
+    assert routes == [("CCCC", 260.0, 10, 0.0, 25.0), ("HHHH", 290.0, 10, 1.0, 5.0)]
 
 
-BELIEVED = {"component": "HX", "rul_flights": 126.0, "rul_low": 9.0, "rul_high": 300.0, "p_event_50": 0.22, "pack": 1}
+PROGNOSIS = {"component": "HX", "rul_flights": 126.0, "rul_low": 9.0, "rul_high": 300.0, "p_event_50": 0.22, "pack": 1}
 
 
 def unobserved(n: int, *, tail: str = "T-1") -> dict:
@@ -266,10 +279,10 @@ def test_no_information_is_not_a_plan():
             *(unobserved(n, tail="T-2") | ({"status": "ok"} if n == 1 else {}) for n in range(4)),
         ],
         features=[flight(n) | {"pack": 1, "mach_lost_share": 1.0, "tat_k_lost_share": 0.1} for n in range(4)],
-        prognoses=[flight(n, tail=t) | BELIEVED for n in range(4) for t in ("T-1", "T-2")],
+        prognoses=[flight(n, tail=t) | PROGNOSIS for n in range(4) for t in ("T-1", "T-2")],
     )
-    told = "tail, urgency, hx_fouling, rul_flights, p_event_50, missing_reason, missing_columns"
-    assert rows(con, f"select {told} from fleet_ranking order by place") == [
+    columns = "tail, urgency, hx_fouling, rul_flights, p_event_50, missing_reason, missing_columns"
+    assert rows(con, f"select {columns} from fleet_ranking order by place") == [
         ("T-2", "plan", 0.15, 126.0, 0.22, None, None),
         ("T-1", "unknown", None, None, None, "NO_CRUISE", "mach"),
     ]
@@ -284,7 +297,7 @@ def test_no_information_is_not_a_plan():
 
 def test_a_new_unit_is_unknown_until_it_has_flown_with_something_to_see():
     health = [fouling(n, 0.2) for n in range(3)] + [unobserved(n) for n in range(3, 6)]
-    con = catalog(twin_health=health, raw_maintenance=[replaced(2)], prognoses=[flight(5) | BELIEVED])
+    con = catalog(twin_health=health, raw_maintenance=[replaced(2)], prognoses=[flight(5) | PROGNOSIS])
     assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [("unknown", None)]
     con.execute("update tables.twin_health set status = 'ok' where departed_at >= '2024-03-06'")
     assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [("plan", 0.15)]
@@ -292,9 +305,9 @@ def test_a_new_unit_is_unknown_until_it_has_flown_with_something_to_see():
 
 def test_the_last_known_of_a_pack_stands_before_the_first_unknown():
     health = [fouling(1, 0.0, tail="T-9"), unobserved(1, tail="T-1")]
-    con = catalog(twin_health=health, prognoses=[flight(1, tail="T-9") | BELIEVED | {"p_event_50": 0.01}])
-    found = rows(con, "select tail, urgency from fleet_ranking order by place")
-    assert found == [("T-9", "none"), ("T-1", "unknown")]
+    con = catalog(twin_health=health, prognoses=[flight(1, tail="T-9") | PROGNOSIS | {"p_event_50": 0.01}])
+    ranking = rows(con, "select tail, urgency from fleet_ranking order by place")
+    assert ranking == [("T-9", "none"), ("T-1", "unknown")]
 
 
 def test_views_and_rules_of_alerts_agree_on_what_an_estimate_rests_on():
@@ -310,7 +323,7 @@ def test_what_was_washed_or_replaced_since_the_last_flight_counts_at_once():
     tables = {
         "raw_flights": [flight(n, tail=t) for n in range(6) for t in tails],
         "twin_health": [fouling(n, 0.3, tail=t) for n in range(6) for t in tails],
-        "prognoses": [flight(5, tail=t) | BELIEVED | {"p_event_50": 0.7} for t in tails],
+        "prognoses": [flight(5, tail=t) | PROGNOSIS | {"p_event_50": 0.7} for t in tails],
         "raw_maintenance": [washed, replaced(5) | {"tail": "T-2"}, replaced(3) | {"tail": "T-3", "component": "CC"}],
     }
     con = catalog(**tables)
@@ -319,6 +332,6 @@ def test_what_was_washed_or_replaced_since_the_last_flight_counts_at_once():
     assert rows(con, ranking) == [("T-1", "none", None, None, "CLEANED"), ("T-2", "none", None, None, "REPLACED"), act]
     for view in ("due_dates", "next_stop"):
         assert {tail for (tail,) in rows(con, f"select distinct tail from {view}")} <= {"T-3"}
-    later = {"raw_flights": flight(9), "twin_health": fouling(9, 0.02), "prognoses": flight(9) | BELIEVED}
+    later = {"raw_flights": flight(9), "twin_health": fouling(9, 0.02), "prognoses": flight(9) | PROGNOSIS}
     con = catalog(**tables | {name: [*tables[name], row] for name, row in later.items()})
     assert rows(con, ranking)[::2] == [("T-1", "plan", 0.02, 126.0, None), act]
