@@ -32,9 +32,9 @@ _RUN_PAGE_BYTES = 1024  # of a run: ten tables and fifteen indexes, all but empt
 _BUSY_S = 30  # stock's value, which has no name in some versions
 _COMMON = "run_id, dagster_event_type, step_key, asset_key"
 # bound values take half the time of copying the first row within SQLite
-_FIRST = f"select {_COMMON} from event_logs where id = ?"
-_ALIKE = f"insert into event_logs ({_COMMON}, timestamp, partition, event) values (?, ?, ?, ?, ?, ?, ?)"
-_ALIKE_TAG = "insert into asset_event_tags (event_timestamp, asset_key, event_id, key, value) values (?, ?, ?, ?, ?)"
+_SELECT_FIRST = f"select {_COMMON} from event_logs where id = ?"
+_INSERT_OTHER = f"insert into event_logs ({_COMMON}, timestamp, partition, event) values (?, ?, ?, ?, ?, ?, ?)"
+_INSERT_TAG = "insert into asset_event_tags (event_timestamp, asset_key, event_id, key, value) values (?, ?, ?, ?, ?)"
 
 
 class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
@@ -145,13 +145,13 @@ class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
         self.store_asset_event_tags([one.event], [first])  # within the same transaction
         others = list(one.others()) if len(one.partitions) > 1 else []
         if others:
-            common = conn.exec_driver_sql(_FIRST, (first,)).one()
+            common = conn.exec_driver_sql(_SELECT_FIRST, (first,)).one()
             times = [f"{o.at:%Y-%m-%d %H:%M:%S.%f}" for o in others]
             rows = [(*common, at, o.partition, o.event) for o, at in zip(others, times, strict=True)]
-            conn.exec_driver_sql(_ALIKE, rows)
+            conn.exec_driver_sql(_INSERT_OTHER, rows)
             numbers = enumerate(zip(others, times, strict=True), first + 1)
             if tags := [(at, common.asset_key, i, *tag) for i, (o, at) in numbers for tag in o.tags.items()]:
-                conn.exec_driver_sql(_ALIKE_TAG, tags)
+                conn.exec_driver_sql(_INSERT_TAG, tags)
         return first + len(others)
 
 

@@ -19,14 +19,14 @@ from sqlalchemy import Connection, text
 from dagster_batched.coalescing import CoalescingEventLog
 from dagster_batched.event_group import EventGroup
 
-_ALIKE = text(
+_INSERT_OTHERS = text(
     "insert into event_logs (run_id, event, dagster_event_type, timestamp, step_key, asset_key, partition)"
     " select run_id, o.event, dagster_event_type, o.at, step_key, asset_key, o.partition"
     " from event_logs, unnest(cast(:events as text[]), cast(:partitions as text[]), cast(:times as timestamp[]))"
     " as o (event, partition, at)"
     " where id = :first returning id, partition"
 )
-_ALIKE_TAGS = text(
+_INSERT_TAGS = text(
     "insert into asset_event_tags (event_id, asset_key, key, value, event_timestamp)"
     " select o.id, e.asset_key, o.key, o.value, e.timestamp from event_logs as e"
     " join unnest(cast(:ids as bigint[]), cast(:keys as text[]), cast(:values as text[])) as o (id, key, value)"
@@ -78,9 +78,9 @@ class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage
             return first
         partitions, events, tags, times = (list(column) for column in zip(*others, strict=True))
         values = {"events": events, "partitions": partitions, "times": times, "first": first}
-        ids = {partition: int(event_id) for event_id, partition in conn.execute(_ALIKE, values)}
+        ids = {partition: int(event_id) for event_id, partition in conn.execute(_INSERT_OTHERS, values)}
         rows = [(ids[p], key, value) for p, own in zip(partitions, tags, strict=True) for key, value in own.items()]
         if rows:
             event_ids, keys, texts = (list(column) for column in zip(*rows, strict=True))
-            conn.execute(_ALIKE_TAGS, {"ids": event_ids, "keys": keys, "values": texts})
+            conn.execute(_INSERT_TAGS, {"ids": event_ids, "keys": keys, "values": texts})
         return max(ids.values())
