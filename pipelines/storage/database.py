@@ -45,7 +45,7 @@ class Database:
         with closing(sqlite3.connect(self.path, timeout=60, isolation_level=None)) as con:
             con.execute(f"pragma journal_mode={self.journal}")
             con.execute("pragma synchronous=full")
-            con.execute("begin immediate" if write else "begin")
+            con.execute("begin immediate" if write or not _has_tables(con) else "begin")
             with con:
                 for statement in (*self.schema.split(";"), *self.sqlite_only):
                     con.execute(statement)

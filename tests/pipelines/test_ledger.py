@@ -6,10 +6,12 @@ PostgreSQL where HDT_TEST_POSTGRES names a server, as `postgresql://user@host:54
 import multiprocessing
 import os
 import shutil
+import sqlite3
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import polars as pl
@@ -18,7 +20,7 @@ from databases import SERVER, new_database
 
 from pipelines.orchestration import around_night
 from pipelines.storage import postgres
-from pipelines.storage.ledger import NAMES, Ledger
+from pipelines.storage.ledger import FILE, NAMES, Ledger
 
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
 FILES = [("a/1.csv", *A, "acms", 2**40, 2**62, "d1"), ("a/m.csv", *A, "messages", 1, 1, "d2"),
@@ -131,6 +133,14 @@ def test_one_night_at_a_time_though_homes_differ_and_the_lock_goes_with_its_proc
         except around_night.BusyError:
             time.sleep(0.05)
     pytest.fail("the lock outlived its process")
+
+
+def test_a_ledger_whose_tables_are_yet_to_be_made_reads_as_empty(tmp_path):
+    with closing(sqlite3.connect(tmp_path / FILE)) as con:
+        con.execute("pragma journal_mode=wal")
+    assert (tmp_path / FILE).stat().st_size
+    for read_only in (True, False):
+        assert Ledger(tmp_path, url="", read_only=read_only).file_records() == {}
 
 
 SECRET = "s3cr3t-word"
