@@ -210,7 +210,6 @@ def _of_an_earlier_version(path: Path) -> None:
 DAMAGE = {
     "missing": Path.unlink,
     "empty": lambda path: path.write_bytes(b""),
-    "cut": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 3]),
     "torn": lambda path: path.write_bytes(path.read_bytes()[:8192] + bytes(path.stat().st_size - 8192)),
     "text": lambda path: path.write_text("no database\n" * 1000),
     "without a view": _without_a_view,

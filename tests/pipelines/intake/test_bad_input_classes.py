@@ -1,4 +1,4 @@
-"""The classes of bad input: one line a class, what was done to a good flight and what must become of it."""
+"""Classes of bad input that `test_dirty_landing` lacks: what was done to a good flight, what must become of it."""
 
 from dataclasses import dataclass
 from datetime import timedelta
@@ -59,32 +59,25 @@ CASES = [
     Case("last value gone", lambda c: c[: c.rstrip().rindex(b",") + 1], "cut_short", n_stored=N - 1),
     Case("no newline at the end, number whole", lambda c: c[:-1], None),
     Case("half-written: header cut", lambda c: c[:60], "missing_columns", n_stored=0, column="pack"),
-    Case("empty", lambda c: b"", "empty_file", n_stored=0),
     Case("blank lines only", lambda c: b"\n \n\n", "empty_file", n_stored=0),
-    Case("header only", lambda c: c[: c.index(b"\n") + 1], "no_rows", n_stored=0),
     Case("a header of a megabyte", lambda c: b"a," * 500_000 + b"\n" + c, "no_header", n_stored=0),
     Case("blank lines between rows", lambda c: c.replace(b"\n", b"\n\n"), None),
-    Case("garbage bytes", lambda c: bytes(range(255, 0, -1)) * 9, "not_text", n_stored=0),
     Case("Parquet under the name of a CSV", parquet, "not_text", n_stored=0),
     Case("NUL in a row", line_as(5, b"LX-AAA\x00,,,"), "bad_bytes", n_stored=N - 1),
     Case("invalid UTF-8 in a row", line_as(5, b"LX-AAA\xff,,,"), "bad_bytes", n_stored=N - 1),
     Case("two files glued together", lambda c: c + c, "repeated_header", n_stored=2 * N),
     # shape
-    Case("one field too many", lambda c: c.replace(b",CL,", b",CL,7,", 1), "wrong_field_count", n_stored=N - 1),
     Case("one field too few", lambda c: c.replace(b",CL,", b",", 1), "wrong_field_count", n_stored=N - 1),
     Case("one too many and one too few", lambda c: c.replace(b",CL,", b",CL,7,", 1).replace(b",DS,", b",", 1),
          "wrong_field_count", n_entries=2, n_stored=N - 2),
     Case("quote that never closes", lambda c: c.replace(b",CL,", b',"CL,', 1), "bad_quoting", n_stored=N - 1),
     Case("every field quoted", lambda c: joined([[b'"%s"' % f for f in x] for x in fields_of(c)]), None),
-    Case("semicolons and decimal commas", lambda c: c.replace(b",", b";").replace(b".", b","), "wrong_separator",
-         n_stored=0),
     Case("tabs", lambda c: c.replace(b",", b"\t"), "wrong_separator", n_stored=0),
     Case("Windows line ends", lambda c: c.replace(b"\n", b"\r\n"), None),
     Case("UTF-8 byte order mark", lambda c: b"\xef\xbb\xbf" + c, "other_encoding"),
     Case("UTF-16", lambda c: c.decode().encode("utf-16"), "other_encoding"),
     Case("UTF-16 without mark", lambda c: c.decode().encode("utf-16-le"), "not_text", n_stored=0),
     # columns
-    Case("header missing", lambda c: c[c.index(b"\n") + 1 :], "no_header", n_stored=0, column="flight_id"),
     Case("column renamed", rename("hx_in_degc", "T_HX_IN"), "missing_columns", n_stored=0, column="hx_in_degc"),
     Case("key missing", drop("pack"), "missing_columns", n_stored=0, column="pack"),
     Case("sensor not recorded by this operator", drop("cc_out_degc", "ram_out_degc", "pt_psia"), None),
@@ -94,14 +87,10 @@ CASES = [
     Case("columns reordered", reorder, None),
     Case("names in capitals", lambda c: c.replace(c.split(b"\n")[0], c.split(b"\n")[0].upper()), "other_spelling"),
     # values
-    Case("text for a number", field(7, "hx_out_degc", b"ERR"), "not_a_number", column="hx_out_degc"),
-    Case("dash for a number", field(7, "hx_out_degc", b"-"), "not_a_number", column="hx_out_degc"),
     Case("NaN", field(7, "pt_psia", b"NaN"), "not_a_number", column="pt_psia"),
     Case("inf", field(7, "pt_psia", b"-inf"), "not_a_number", column="pt_psia"),
     Case("1e999", field(7, "mach", b"1e999"), "not_a_number", column="mach"),
     Case("decimal comma in quotes", field(7, "mach", b'"0,84"'), "not_a_number", column="mach"),
-    Case("impossible altitude", field(7, "altitude_ft", b"99999"), "out_of_range", column="altitude_ft"),
-    Case("door beyond its travel", field(7, "ram_door_pct", b"250"), "out_of_range", column="ram_door_pct"),
     Case("unknown phase code", field(7, "phase_code", b"=cmd()"), "unknown_phase", column="phase_code"),
     Case("an airport that is none", lambda c: joined([[*x, b"LOWW" if i else b"origin", b"<b>" if i else b"destination"]
          for i, x in enumerate(fields_of(c))]), "unknown_airport", N, column="destination"),
@@ -129,9 +118,6 @@ CASES = [
     Case("spike within what can be", field(9, "altitude_ft", b"43000.0"), None),
     Case("value missing", field(9, "altitude_ft", b""), None),
     # times
-    Case("time in the future", retimed(lambda t: "2061" + t[4:]), "future_time", N, 0, "report_time"),
-    Case("time not ISO", retimed(lambda t: f"{t[8:10]}/{t[5:7]}/{t[:4]} {t[11:]}"), "unreadable_time", N, 0,
-         "report_time"),
     Case("time missing", retimed(lambda t: ""), "unreadable_time", N, 0, "report_time"),
     Case("no such day", retimed(lambda t: "2023-02-29" + t[10:]), "unreadable_time", N, 0, "report_time"),
     Case("clock reset", retimed(lambda t: "1970-01-01" + t[10:]), "time_contradicts_flight_id", N, 0, "report_time"),
@@ -142,16 +128,10 @@ CASES = [
          "clock_jump", column="report_time"),
     Case("clock runs backwards, rows out of order", lambda c: joined([(x := fields_of(c))[0], *x[:0:-1]]), None),
     # identity
-    Case("injection in flight_id", field(3, "flight_id", b"X'); DROP TABLE flights;--"), "bad_flight_id",
-         n_stored=N - 1, column="flight_id"),
-    Case("flight_id climbs out", lambda c: c.replace(FLIGHT.encode(), b"../../X_20240101_01"), "bad_flight_id", N, 0),
     Case("flight_id of no such day", lambda c: c.replace(b"_20240525_", b"_20240532_"), "bad_flight_id", N, 0),
-    Case("flight_id of another tail", lambda c: c.replace(b"LX-AAA_", b"ZZ-ZZZ_"), "flight_id_contradicts_path", N, 0),
     Case("flight_id of another file", lambda c: c.replace(b"_04,", b"_05,"), "flight_id_contradicts_path", N, 0),
-    Case("pack 3", field(3, "pack", b"3"), "bad_pack", n_stored=N - 1, column="pack"),
     Case("pack 1.5", field(3, "pack", b"1.5"), "bad_pack", n_stored=N - 1, column="pack"),
     Case("pack missing", field(3, "pack", b""), "bad_pack", n_stored=N - 1, column="pack"),
-    Case("file name is no flight", lambda c: c, "flight_id_from_column", path="AQX/LX-AAA/acms/NOT_A_FLIGHT.csv"),
     Case("a copy by another name", lambda c: c, "flight_id_from_column", path=f"AQX/LX-AAA/acms/{FLIGHT} (1).csv"),
     # Parquet
     Case("good history", parquet, None, path=HISTORY),
