@@ -238,7 +238,7 @@ STAGES = (
     Stage(
         "features_alerts",
         "features",
-        same_recipe("features_alerts", parents=("features",), settings=("limits",), code="17"),
+        same_recipe("features_alerts", parents=("features",), settings=("limits",), code="18"),
     ),
     Stage(
         "raw_components",
@@ -280,7 +280,7 @@ STAGES = (
             "features_component_alerts",
             parents=("twin_components",),
             settings=("limits",),
-            code="5",
+            code="6",
         ),
         road=COMPONENT,
     ),

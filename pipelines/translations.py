@@ -10,7 +10,8 @@ from babel.messages.pofile import read_po, write_po
 
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from pipelines.report import words
-from pipelines.report.answers import CHOICES, STATES, STATUSES
+from pipelines.report.cards import STATES, STATUSES
+from pipelines.report.tasks import ACTIONS
 from pipelines.words import ENGLISH
 from pipelines.words.evidence import phrases
 
@@ -39,7 +40,7 @@ def collect_messages() -> Catalog:
 def declared_messages() -> list[str]:
     """List messages that stand in tables and declarations instead of calls."""
     limits = [name for name, _unit in words.THRESHOLDS.values()]
-    tables = (words.URGENCY, words.REASONS, words.PARTS, words.SIDES, words.NAMES, CHOICES, STATUSES, STATES)
+    tables = (words.URGENCY, words.REASONS, words.PARTS, words.SIDES, words.NAMES, ACTIONS, STATUSES, STATES)
     labels = [text for table in tables for text in table.values()] + [loss for loss, _ in words.WEARS.values()]
     return [*phrases(), *labels, *limits, *DATA_VALUES, *(d.name for d in DIAGNOSES.values())]
 

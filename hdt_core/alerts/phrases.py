@@ -3,7 +3,10 @@
 Translations cover all of `PHRASES`. A value is a number, a name or another phrase.
 """
 
-UA_LOST = "UA lost (hx_fouling) {loss}, {sigma} sigma; above {limit} % since {since}, and with probability {odds}"
+UA_LOST = (
+    "Heat transfer lost (hx_fouling) {loss}, {sigma} times its uncertainty; above {limit} % since {since}, and with "
+    "probability {odds}"
+)
 WITHIN = "{value} % ({low} to {high})"
 ABOVE = "above {value}"
 TREND = "{points} points more every ten flights (trend of 30)"
@@ -35,20 +38,21 @@ PARTS_OF_MARGIN = {
     "design": "the design gives {k} K", "target": "target {k} K", "flow": "flow {k} K", "ambient": "air outside {k} K",
     "wear": "wear and build {k} K",
 }  # fmt: skip
-NOT_WEAR_ALONE = "UA lost (hx_fouling) {loss}: wear alone does not explain it"
+NOT_WEAR_ALONE = "Heat transfer lost (hx_fouling) {loss}: wear alone does not explain it"
 WARM_OUTLET = "on the last flight the outlet was {k} K above its level, door full open"
 MARGIN_ELSE = "a cooler season, or an outlet sensor that reads high"
 MARGIN_COSTS = "Waiting costs the message on a hot day, and an exchanger that is taken off in vain"
 
 COMPRESSOR = (
-    "Compressor efficiency (cc_efficiency_loss) lost {loss} against expectation, {sigma} sigma, believed since "
+    "Compressor efficiency (cc_efficiency_loss) lost {loss} against expectation, {sigma} times its uncertainty, "
+    "believed since "
     "{since}; worn at all (above {limit} %) with probability {odds}"
 )
 COMPRESSOR_ELSE = "a drifting exit temperature sensor"
 COMPRESSOR_COSTS = "Waiting costs compressor power and, in the end, a flow message (21-51-CCFLOW)"
 SMALLER_DIAMETER = (
-    "Effective diameter (cc_effective_diameter_m) is {share} % below this unit's own first flights, {sigma} sigma of a "
-    "flight and summed up beyond doubt (CUSUM), believed since {since}"
+    "Effective diameter (cc_effective_diameter_m) is {share} % below this unit's own first flights, {sigma} times the "
+    "scatter of a flight and summed up beyond doubt (CUSUM), believed since {since}"
 )
 NO_EFFICIENCY = "no efficiency to compare with: the exit temperature is not recorded"
 SMALLER_DIAMETER_ELSE = "a drifting speed or pressure sensor"
@@ -62,14 +66,14 @@ SMALL_HOT_HIGH = "at 41,000 ft on a hot day, ISA + 15 K, it is {share} % too sma
 
 JAM = (
     "The ram door (ram_door_open) stays at {stop} % from climb to descent since {since} while its controller's need "
-    "changes: less than 7 sigma of its sensor's noise, on two of three flights"
+    "changes: less than 7 times its sensor's noise, on two of three flights"
 )
 FLICKERS = "its reading flickers, which that of a frozen sensor would not"
 JAM_ELSE = "a frozen sensor"
 JAM_COSTS = "Until repaired the outlet runs warm or cold, and the door can't make up for fouling"
 SHORT_TRAVEL = (
     "The ram door (ram_door_open) goes no further than {stop} %: since {since} the outlet ran up to {k} K ({sigma} "
-    "sigma of a sound flight) above its target there"
+    "times the scatter of a sound flight) above its target there"
 )
 ON_TARGET = "the outlet was on target wherever the door was not at that stop"
 SHORT_TRAVEL_ELSE = "a fouled exchanger, which would open the door fully first"
@@ -86,7 +90,7 @@ FROZEN = (
 )
 FROZEN_ELSE = "its converter or the recorder's bus"
 SENSOR_SHIFT = (
-    "{sensor} left what physics ties it to: {check} moved by {moved} ({sigma} sigma of the mean) since {since}"
+    "{sensor} left what physics ties it to: {check} moved by {moved} ({sigma} times its uncertainty) since {since}"
 )
 SENSOR_FITS = "the pattern over all cross checks fits this sensor with probability {odds}"
 SENSOR_ELSE = "another sensor of the same checks; wear leaves them alone"
@@ -112,7 +116,9 @@ FOUND_CLEAN = {
 CLEAN_LOSES_NOTHING = "the inspection: a clean part loses nothing more"
 CLEAN_ELSE = "a film that the inspection could not see, or dust since"
 
-UNIT_LOST = "{lost} ({name}) {loss}, {sigma} sigma; above {limit} % since {since}, and with probability {odds}"
+UNIT_LOST = (
+    "{lost} ({name}) {loss}, {sigma} times its uncertainty; above {limit} % since {since}, and with probability {odds}"
+)
 UNIT_FAILS = "it fails at about {loss}"
 UNIT_STEP = "{points} points came within three flights: a sudden event"
 

@@ -8,7 +8,7 @@ _UA = ("altitude_ft", "mach", "tat_degc", "hx_in_degc", "hx_out_degc", "ram_door
 HX = Component(
     code="HX",
     name="heat exchanger",
-    lost="UA lost",
+    lost="Heat transfer lost",
     model=INSTALLED,
     loss="hx_fouling",
     # where packs ran out of ram door in the first fleets seen; used where the margin is unknown

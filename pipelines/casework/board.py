@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from pipelines.casework.listing import list_cases, outlooks
+from pipelines.casework.listing import list_cases
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import catalog_version
 
@@ -17,16 +17,13 @@ _NEVER = datetime.max.replace(tzinfo=UTC)
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Cases by alert id, the most urgent first, with what belongs to each.
+    """Cases by alert id, the most urgent first, with the log of each.
 
-    `history` has a case's log lines, oldest first; `due` and `choices` are by component (`component_key`): the row of
-    `due_dates`, and the rows of `next_stop`, best first. The snapshot is valid until the next mute ends.
+    `history` has a case's log lines, oldest first. The snapshot is valid until the next mute ends.
     """
 
     cases: dict[str, Row]
     history: dict[str, list[Row]]
-    due: dict[tuple[Any, ...], Row]
-    choices: dict[tuple[Any, ...], list[Row]]
     valid_until: datetime
 
 
@@ -36,7 +33,7 @@ class Board:
     def __init__(self, home: Path) -> None:
         self.home, self._lock = home, threading.Lock()
         self._version: tuple[int, ...] = ()
-        self._snapshot = Snapshot({}, {}, {}, {}, _NEVER)
+        self._snapshot = Snapshot({}, {}, _NEVER)
 
     def read(self) -> Snapshot:
         """Return the present state of all cases.
@@ -59,13 +56,10 @@ def component_key(row: Row) -> tuple[Any, ...]:
 
 
 def _read_snapshot(home: Path) -> Snapshot:
-    history, choices, now = defaultdict(list), defaultdict(list), datetime.now(UTC)
+    history, now = defaultdict(list), datetime.now(UTC)
     for row in CaseLog(home).entries().sort("line").to_dicts():
         history[row["alert_id"]].append(row)
-    due, stops = outlooks(home)
-    for row in stops:
-        choices[component_key(row)].append(row)
     cases = {row["alert_id"]: row for row in list_cases(home, "true")}
     mute_ends = (c["muted_until"] for c in cases.values() if c["muted_until"] is not None)
     valid_until = min((end for end in mute_ends if end > now), default=_NEVER)
-    return Snapshot(cases, dict(history), {component_key(row): row for row in due}, dict(choices), valid_until)
+    return Snapshot(cases, dict(history), valid_until)

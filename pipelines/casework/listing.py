@@ -57,13 +57,6 @@ def find_case(home: Path, alert_id: str) -> dict[str, Any]:
     return cases[0]
 
 
-def outlooks(home: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return rows of `due_dates`, and of `next_stop` with the best choice first."""
-    with connect(home) as con:
-        due = fetch_dicts(con.execute("select * from due_dates"))
-        return due, fetch_dicts(con.execute("select * from next_stop order by place nulls last, choice"))
-
-
 def history_of(home: Path, alert_id: str) -> list[dict[str, Any]]:
     """Return an alert's lines of the case log, oldest first: rows of `raw_cases`."""
     return CaseLog(home).entries().filter(pl.col("alert_id") == alert_id).sort("line").to_dicts()

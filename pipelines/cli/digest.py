@@ -75,10 +75,12 @@ def orders(
     As CSV and JSON for a maintenance system, and as a page to print.
     """
     from pipelines.digest import work_orders, write_orders
+    from pipelines.report.tasks import read_tasks
     from pipelines.storage.catalog import connect
 
-    with connect(home_folder(home)) as con:
+    where = home_folder(home)
+    with connect(where) as con:
         ((until,),) = con.execute("select max(departed_at) from flights").fetchall()
-        table = work_orders(con, operator)
+        table = work_orders(con, read_tasks(where), operator)
     write_orders(table, target, f"Flights up to {until:%Y-%m-%d %H:%M} UTC." if until else "")
     out.print(f"{table.height} work orders: {target}")

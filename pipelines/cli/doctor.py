@@ -22,6 +22,8 @@ from pipelines.intake.readers import TYPES, readers
 from pipelines.intake.refusals import ignored_entries, silent_columns, silent_lines
 from pipelines.intake.snapshots import read_snapshots
 from pipelines.lineage import FLIGHT_FILES
+from pipelines.report.tasks import NAME as NAME_OF_TASKS
+from pipelines.report.tasks import read_tasks
 from pipelines.storage import history
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect
@@ -133,6 +135,7 @@ def _home(home: Path) -> Iterator[Check]:
     free_gb = shutil.disk_usage(near).free / 1e9
     yield Check("disk", free_gb >= _NEEDED_GB, f"{free_gb:.0f} GB free, at least {_NEEDED_GB:.0f} GB needed")
     yield _costs(home)
+    yield _tasks(home)
     yield from _stored(home)
     yield from _receivers(home)
     if (home / CATALOG).exists():
@@ -161,6 +164,15 @@ def _costs(home: Path) -> Check:
         return Check("costs", False, str(error))
     message = f"{own} of the home's own" if own else f"defaults; {NAME_OF_COSTS} in the home sets yours"
     return Check("costs", True, message)
+
+
+def _tasks(home: Path) -> Check:
+    try:
+        read_tasks(home)
+    except StoreError as error:
+        return Check("work", False, str(error))
+    own = (home / NAME_OF_TASKS).exists()
+    return Check("work", True, NAME_OF_TASKS if own else f"examples; {NAME_OF_TASKS} in the home sets yours")
 
 
 def _stored(home: Path) -> Iterator[Check]:

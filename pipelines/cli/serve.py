@@ -24,14 +24,14 @@ def serve(
     ] = None,
     header: Annotated[str, typer.Option(help="Header with the name that the proxy writes.")] = "X-Remote-User",
 ) -> None:
-    """Serve the page of cases for the shift.
+    """Serve the shift's page: units by urgency, their cards, and cases.
 
     The address it prints holds the token to sign in with, a new one at each start. Behind the site's proxy (--proxy)
     people have their own names; `roles.toml` in the home sets their roles.
     """
     where = home_folder(home).resolve()
     try:
-        from pipelines.web.casebook import application
+        from pipelines.web.casebook import application, read_ahead
         from pipelines.web.guard import LOCAL
         from pipelines.web.roles import FILE, RolesError, local_person, read_people
         from pipelines.web.sign_in import LocalToken, ProxyHeader
@@ -49,6 +49,7 @@ def serve(
     if behind and not people:
         raise StopError(f"nobody has a role yet; name people below [people] in {where / FILE}")
     with _listening(listen, port) as sock:
+        read_ahead(where)
         address = f"http://127.0.0.1:{sock.getsockname()[1]}/"
         out.print(f"Cases: {address}{'' if behind else f'?token={sign_in.token}'}")
         application(where, LOCAL | set(name or ()), behind or sign_in).serve(sock)

@@ -7,6 +7,7 @@ from typing import Any
 
 from hdt_core.prognosis.model import HORIZON
 from pipelines.digest.state import EMPTY, State, read_state
+from pipelines.report.tasks import read_tasks
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import connect_as_of
@@ -56,7 +57,7 @@ def changes_since(home: Path, night: str | None = None) -> Digest:
         There was no night by then, or it is no longer stored.
     """
     with connect(home) as con:
-        now = read_state(con)
+        now = read_state(con, read_tasks(home))
     nights = sorted(Ledger(home, read_only=True).snapshots())
     if night is None and len(nights) < 2:
         return compare(EMPTY, now)

@@ -14,6 +14,7 @@ from pipelines.digest.declaration import NotifyError, Receiver, read_receivers
 from pipelines.digest.render import as_json
 from pipelines.digest.senders import send
 from pipelines.digest.state import EMPTY, State, read_state
+from pipelines.report.tasks import read_tasks
 from pipelines.storage.catalog import connect
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
@@ -53,7 +54,7 @@ def send_digests(home: Path) -> list[str]:
         if not waiting or not night:
             return []
         with connect(home) as con:
-            now = read_state(con)
+            now = read_state(con, read_tasks(home))
     except Exception as error:  # the night is published whether or not its digest can be sent
         return [f"no digest was sent: {error}"]
     failures = [line for r in waiting if (line := _deliver(home, r, now, night, record))]
@@ -64,7 +65,7 @@ def send_digests(home: Path) -> list[str]:
 def send_trial(home: Path) -> list[tuple[str, str]]:
     """Send every receiver the present state as if it were new, record nothing; return each name and its error."""
     with connect(home) as con:
-        now = read_state(con)
+        now = read_state(con, read_tasks(home))
     results = []
     for receiver in receivers_of(home):
         digest = compare(EMPTY, now).of(receiver.operator)

@@ -101,7 +101,7 @@ def _unit(row: Row) -> str:
 def _alert(row: Row) -> str:
     outlook = f" Flights left {words.flights_left(row)}." if row["rul_flights"] is not None else ""
     head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}, {row['severity']}. {words.urgency(row)}"
-    return f"{head}: {words.plain(row['action']).rstrip('.')}.{outlook} [{row['alert_id']}]"
+    return f"{head}: {words.plain(row['action']).rstrip('.')}. {row['work']}.{outlook} [{row['alert_id']}]"
 
 
 def _alert_change(row: Row) -> str:

@@ -5,6 +5,7 @@ from typing import Any
 import duckdb
 
 from pipelines.intake.refusals import silent_columns
+from pipelines.report.tasks import BEST_CHOICE, Tasks, work_text
 
 State = dict[str, Any]
 """JSON: `until`, `alerts` and `closed` by id, `outlook` by unit, `gaps` and `silent` by name, `files` by path."""
@@ -12,17 +13,18 @@ EMPTY: State = {"until": None, "alerts": {}, "closed": {}, "outlook": {}, "gaps"
 """State before the first night."""
 
 _UNTIL = "select strftime(max(departed_at) at time zone 'UTC', '%Y-%m-%d %H:%M') from flights"
-_ALERTS = """
+_ALERTS = f"""
 select
     a.alert_id, a.operator, a.tail, a.pack, a.component, a.diagnosis, a.severity, a.urgency,
     strftime(a.raised_at at time zone 'UTC', '%Y-%m-%d') as since,
     strftime(a.closed_at at time zone 'UTC', '%Y-%m-%d') as closed_on,
     a.recommended_action as action, a.evidence_now as evidence,
     a.now_rul_flights as rul_flights, a.now_rul_low as rul_low, a.now_rul_high as rul_high,
-    a.now_p_event_50 as p_event_50, n.place, o.outcome, o.work_orders
+    a.now_p_event_50 as p_event_50, a.recommended_action, n.choice, p.place, o.outcome, o.work_orders
 from alert_states as a
 left join alert_outcomes as o on a.alert_id = o.alert_id
-left join open_alerts as n on a.alert_id = n.alert_id
+left join open_alerts as p on a.alert_id = p.alert_id
+{BEST_CHOICE}
 order by a.alert_id
 """
 _OUTLOOK = """
@@ -53,10 +55,10 @@ from quarantine where file is not null and scope <> 'note' group by file order b
 """
 
 
-def read_state(con: duckdb.DuckDBPyConnection) -> State:
-    """Read the state from a catalog, of tonight or an earlier night."""
+def read_state(con: duckdb.DuckDBPyConnection, tasks: Tasks | None = None) -> State:
+    """Read the state of a night from its catalog, with the work of each alert where `tasks` has it."""
     ((until,),) = con.execute(_UNTIL).fetchall()
-    alerts = {row["alert_id"]: row for row in _rows(con, _ALERTS)}
+    alerts = {row["alert_id"]: row | {"work": work_text(tasks or {}, row)} for row in _rows(con, _ALERTS)}
     return {
         "until": until,
         "alerts": {name: row for name, row in alerts.items() if row["closed_on"] is None},

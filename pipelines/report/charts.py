@@ -1,4 +1,4 @@
-"""Build zoomable charts: Bokeh figures whose data sources the page fills when a chart comes into view."""
+"""Build zoomable charts of the paper's figures: Bokeh figures that the page draws when they come into view."""
 
 import json
 import re
@@ -6,19 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from bokeh.embed import json_item
-from bokeh.models import (
-    BasicTicker,
-    BasicTickFormatter,
-    ColumnDataSource,
-    DatetimeTicker,
-    DatetimeTickFormatter,
-    HoverTool,
-    Range1d,
-)
+from bokeh.models import BasicTicker, BasicTickFormatter, Range1d
 from bokeh.plotting import figure
 from bokeh.resources import Resources
-
-from pipelines.words import _
 
 BLUE, ORANGE, GREEN, VERMILLION, PURPLE, SKY, GREY = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#B0578D", "#56B4E9", "#6b6b6b",
@@ -43,17 +33,12 @@ def figure_json(plot: Any) -> dict[str, Any]:
     return dict(json.loads(text))
 
 
-def source(name: str, *columns: str) -> ColumnDataSource:
-    """Create an empty data source that the page fills."""
-    return ColumnDataSource({c: [] for c in columns}, name=name)
-
-
-def axes(x_label: str = "", *, time: bool = False, height: int = 230) -> Any:
+def axes(x_label: str, height: int = 230) -> Any:
     """Create an empty figure in the page's style; it zooms along x only, so that marks at the edges stay there."""
     plot = figure(
         height=height, sizing_mode="stretch_width", tools="xpan,xwheel_zoom,xbox_zoom,reset", active_drag="xbox_zoom",
-        x_range=Range1d(name="x", bounds="auto"), y_range=Range1d(name="y"), toolbar_location="above",
-        output_backend="svg", x_axis_type="datetime" if time else "linear", min_border=0,
+        x_range=Range1d(bounds="auto"), y_range=Range1d(), toolbar_location="above",
+        output_backend="svg", min_border=0,
         background_fill_alpha=0.0, border_fill_alpha=0.0, outline_line_color=None,
     )  # fmt: skip
     plot.toolbar.logo = None
@@ -69,46 +54,7 @@ def axes(x_label: str = "", *, time: bool = False, height: int = 230) -> Any:
     plot.ygrid.grid_line_color = LINE
     plot.yaxis.ticker = BasicTicker(desired_num_ticks=5)
     plot.yaxis.formatter = BasicTickFormatter(use_scientific=False)
-    if time:
-        plot.xaxis.ticker = DatetimeTicker(desired_num_ticks=4)
-        plot.xaxis.formatter = DatetimeTickFormatter(
-            hours="%m-%d %H:%M", days="%m-%d", months="%Y-%m", years="%Y", context=None
-        )
     return plot
-
-
-def track() -> dict[str, Any]:
-    """Build the chart of a unit's loss over time: fleet's band, other pack, own loss, events, forecast."""
-    plot = axes(time=True)
-    fleet, own = source("fleet", "x", "low", "high"), source("own", "x", "y", "low", "high")
-    other, cc = source("other", "x", "y"), source("cc", "x", "y")
-    plot.varea("x", "low", "high", source=fleet, fill_color=GREY, fill_alpha=0.16)
-    plot.varea("x", "low", "high", source=own, fill_color=BLUE, fill_alpha=0.25)
-    plot.line("x", "y", source=other, line_color=GREY, line_width=1.2, line_dash="dotted")
-    plot.line("x", "y", source=cc, line_color=ORANGE, line_width=1.5, line_dash="dashed")
-    line = plot.line("x", "y", source=own, line_color=BLUE, line_width=1.8)
-    plot.scatter("x", "y", source=source("alone", "x", "y"), color=BLUE, size=6)
-    _events(plot)
-    ahead = source("ahead", "low", "mid", "high", "y")
-    plot.segment("low", "y", "high", "y", source=ahead, line_color=VERMILLION, line_width=3)
-    plot.scatter("mid", "y", source=ahead, color=VERMILLION, size=8)
-    tooltips = [(_("day"), "@x{%F}"), (_("lost"), "@y{0.0} %"), (_("90 %"), _("@low{0.0} to @high{0.0} %"))]
-    plot.add_tools(
-        HoverTool(
-            renderers=[line], tooltips=tooltips, formatters={"@x": "datetime"}, mode="vline", line_policy="nearest"
-        )
-    )
-    return figure_json(plot)
-
-
-def _events(plot: Any) -> None:
-    """Draw alerts and messages at the top of the frame, work at its bottom."""
-    events = source("events", "x", "y", "top", "bottom", "marker", "colour", "letter", "text")
-    plot.segment("x", "bottom", "x", "top", source=events, line_color="colour", line_dash="dotted", line_width=1)
-    signs = plot.scatter("x", "y", source=events, marker="marker", color="colour", size=10)
-    letters = {"text_font_size": "11px", "text_align": "center", "y_offset": -8}
-    plot.text("x", "y", "letter", source=events, text_color="colour", **letters)
-    plot.add_tools(HoverTool(renderers=[signs], tooltips=[("", "@text")]))
 
 
 def cloud(x: Numbers, y: Numbers, x_label: str, line: tuple[Numbers, Numbers] | None = None) -> Chart:
@@ -122,7 +68,7 @@ def cloud(x: Numbers, y: Numbers, x_label: str, line: tuple[Numbers, Numbers] | 
 
 def over_cruise(minutes: Numbers, sensor: Numbers, twin: Numbers, model: Numbers) -> Chart:
     """Build the chart of a sensor against twin and model."""
-    plot = axes(height=200)
+    plot = axes("", height=200)
     plot.line(list(minutes), list(model), line_color=ORANGE, line_dash="dashed", line_width=1.6)
     plot.line(list(minutes), list(twin), line_color=BLUE, line_width=1.6)
     plot.scatter(list(minutes), list(sensor), color=INK, size=4)
@@ -151,7 +97,8 @@ def before_and_after(n: Numbers, share: Numbers, sides: Sequence[tuple[Numbers, 
 
 def framed(plot: Any, x: Numbers, y: Numbers, pad: float = 0.05) -> Chart:
     """Return the figure with ranges around its data."""
-    return {"figure": figure_json(plot), "fill": {"x": room(x), "y": room(y, pad)}}
+    (plot.x_range.start, plot.x_range.end), (plot.y_range.start, plot.y_range.end) = room(x), room(y, pad)
+    return figure_json(plot)
 
 
 def room(values: Numbers, pad: float = 0.05) -> tuple[float, float]:

@@ -7,10 +7,12 @@ from typing import Any
 import duckdb
 
 from pipelines.report import words
+from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
 from pipelines.storage.catalog import connect, fetch_dicts
 from pipelines.words import ENGLISH, _, language
 
 Row = dict[str, Any]
+_UNIT = "a.operator = $1 and a.tail = $2 and a.pack = $3 and a.component"
 _PACK = re.compile(
     r"(?:(?P<operator>[a-z]{3})[\s/]+)?(?P<tail>[a-z0-9-]{2,10})"
     r"(?:[\s/]+(?:pack\s+)?(?P<pack>[1-4])(?:\s+\((?:left|right)\))?)?",
@@ -29,13 +31,13 @@ def explain(home: Path, name: str) -> str | None:
     ValueError
         More than one alert begins with it.
     """
+    tasks = read_tasks(home)
     with connect(home) as con:
         packs, units = (_ranked(con, name, view) for view in ("fleet_ranking", "component_ranking"))
         if packs or units:
-            first = [_pack_text(con, packs[0], packs[1:])] if packs else []
-            return "\n\n".join([*first, *(_unit_text(con, unit) for unit in units)])
-        sql = "select * from alert_states where $1 <> '' and starts_with(alert_id, $1)"
-        alerts = _rows(con, sql, name.strip().lower())
+            first = [_pack_text(con, tasks, packs[0], packs[1:])] if packs else []
+            return "\n\n".join([*first, *(_unit_text(con, tasks, unit) for unit in units)])
+        alerts = _alerts(con, tasks, "$1 <> '' and starts_with(a.alert_id, $1)", name.strip().lower())
     if len(alerts) > 1:
         raise ValueError(f"{len(alerts)} alerts begin with {name}; give more of the id")
     return "\n".join(_alert_lines(alerts[0])) if alerts else None
@@ -43,6 +45,12 @@ def explain(home: Path, name: str) -> str | None:
 
 def _rows(con: duckdb.DuckDBPyConnection, sql: str, *values: Any) -> list[Row]:
     return fetch_dicts(con.execute(sql, list(values)))
+
+
+def _alerts(con: duckdb.DuckDBPyConnection, tasks: Tasks, where: str, *values: Any) -> list[Row]:
+    """Read alerts with their work, those of one pack the most urgent first."""
+    sql = f"select a.*, n.choice from alert_states as a {BEST_CHOICE} where {where} order by a.place_in_pack"
+    return [a | {"work": work_text(tasks, a)} for a in _rows(con, sql, *values)]
 
 
 def _ranked(con: duckdb.DuckDBPyConnection, name: str, view: str) -> list[Row]:
@@ -55,10 +63,9 @@ def _ranked(con: duckdb.DuckDBPyConnection, name: str, view: str) -> list[Row]:
     return _rows(con, f"select * from {view} where {condition} order by place", tail, operator, pack and int(pack))
 
 
-def _unit_text(con: duckdb.DuckDBPyConnection, row: Row) -> str:
+def _unit_text(con: duckdb.DuckDBPyConnection, tasks: Tasks, row: Row) -> str:
     """Describe a unit of another component and its open alerts."""
-    sql = "select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component = $4"
-    alerts = _rows(con, f"{sql} order by place_in_pack", row["operator"], row["tail"], row["pack"], row["component"])
+    alerts = _alerts(con, tasks, f"{_UNIT} = $4", *words.unit_key(row), row["component"])
     head = _(
         "{unit}: {urgency}. {lost} {loss}, flights left {left}, chance of a failure within 50 flights {chance}; after "
         "{flight}, {time}.",
@@ -71,10 +78,9 @@ def _unit_text(con: duckdb.DuckDBPyConnection, row: Row) -> str:
     return "\n".join([head, *words.unknown([row]), *(line for a in opened for line in ("", *_alert_lines(a)))])
 
 
-def _pack_text(con: duckdb.DuckDBPyConnection, row: Row, others: list[Row]) -> str:
+def _pack_text(con: duckdb.DuckDBPyConnection, tasks: Tasks, row: Row, others: list[Row]) -> str:
     units = "select component from tables.components where recorded"
-    sql = f"select * from alert_states where operator = $1 and tail = $2 and pack = $3 and component not in ({units})"
-    alerts = _rows(con, f"{sql} order by place_in_pack", row["operator"], row["tail"], row["pack"])
+    alerts = _alerts(con, tasks, f"{_UNIT} not in ({units})", *words.unit_key(row))
     opened = [a for a in alerts if a["closed_at"] is None]
     lines = [_head(row), *words.unknown([row]), *(line for a in opened for line in ("", *_alert_lines(a)))]
     if not opened:
@@ -101,8 +107,8 @@ def _last(row: Row) -> Row:
 
 def _head(row: Row) -> str:
     return _(
-        "{pack}: {urgency}. UA lost {loss}, flights left {left}, chance of a message within 50 flights {chance}; after "
-        "{flight}, {time}.",
+        "{pack}: {urgency}. Heat transfer lost {loss}, flights left {left}, chance of a message within 50 flights "
+        "{chance}; after {flight}, {time}.",
         pack=f"{row['operator']} {words.pack_name(row)}",
         loss=words.loss(row),
         **_last(row),
@@ -130,6 +136,7 @@ def _alert_lines(a: Row) -> list[str]:
         _("{moment} (after {flight}, {severity}): {evidence}", moment=at_last, flight=a["now_flight_id"],
           severity=_(severity), evidence=now),
         _("To do: {action}", action=words.plain(a["recommended_action"])),
+        _("Work: {work}", work=a["work"]),
     ]  # fmt: skip
 
 

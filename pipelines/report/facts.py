@@ -10,6 +10,7 @@ import duckdb
 import polars as pl
 
 from hdt_core.calibration.dsm import Dsm
+from pipelines.report.tasks import Tasks, read_tasks
 from pipelines.storage.catalog import connect
 from pipelines.storage.publication import views
 
@@ -35,12 +36,11 @@ _FRAMES = {
             and departed_at >= (select max(departed_at) from flights) - interval 400 days
         order by departed_at, flight_id""",
     "alerts": """
-        select s.*, o.place, b.found_on as opened_on
-        from alert_states as s left join open_alerts as o on s.alert_id = o.alert_id
-        left join alert_outcomes as b on s.follows = b.alert_id
-        order by s.closed_at is not null, o.place, s.raised_at desc, s.alert_id""",
+        select a.*, o.place, b.found_on as opened_on
+        from alert_states as a left join open_alerts as o on a.alert_id = o.alert_id
+        left join alert_outcomes as b on a.follows = b.alert_id
+        order by a.closed_at is not null, o.place, a.raised_at desc, a.alert_id""",
     "cases": "select alert_id, state, owner, muted_until, finding, found_by, found_on from cases",
-    "rates": "select operator, tail, flights_per_day from flight_rates",
     "stops": """
         select *, max(expected_cost) filter (choice = 'defer')
             over (partition by operator, tail, pack, component) as defer_cost
@@ -75,6 +75,7 @@ class Facts:
 
     `twin` holds one row a flight and pack with the columns the figures draw, `segment` the samples of one flight and
     pack and `twin_flight` its estimate, `card` the model card, `dsm` the model in service; each may be empty or None.
+    `tasks` is the work of each action.
     """
 
     frames: dict[str, pl.DataFrame]
@@ -83,6 +84,7 @@ class Facts:
     twin_flight: pl.DataFrame
     card: dict[str, Any]
     dsm: Dsm | None
+    tasks: Tasks
 
     def __getitem__(self, name: str) -> pl.DataFrame:
         return self.frames[name]
@@ -97,16 +99,16 @@ class Facts:
 
 
 _TONIGHT = (
-    "ranking", "components", "component_losses", "flights", "health", "alerts", "rates", "stops", "outlooks",
-    "margins", "maintenance", "messages", "gaps",
+    "ranking", "components", "component_losses", "flights", "health", "alerts", "stops", "outlooks",
+    "margins", "maintenance", "messages", "gaps", "cases", "hit_rates",
 )  # fmt: skip
 
 
 def read_frames(home: Path) -> Facts:
-    """Read what the table of tonight shows; frames of other parts and the data of the figures are absent."""
+    """Read what the table of tonight and its cards show, without other parts and the data of the figures."""
     with connect(home) as con:
         frames, none = {name: _frame(con, _FRAMES[name]) for name in _TONIGHT}, pl.DataFrame()
-        return Facts(frames, none, none, none, {}, None)
+        return Facts(frames, none, none, none, {}, None, read_tasks(home))
 
 
 def read_facts(home: Path) -> Facts:
@@ -117,7 +119,7 @@ def read_facts(home: Path) -> Facts:
         models = con.execute("select model from tables.calibration_dsm limit 1").fetchall()
         card = json.loads(cards[0][0]) if cards else {}
         segment = _segment(con)
-        return Facts(frames, _twin(con), segment, _twin_flight(con, segment), card, _dsm(models))
+        return Facts(frames, _twin(con), segment, _twin_flight(con, segment), card, _dsm(models), read_tasks(home))
 
 
 def views_read() -> list[str]:

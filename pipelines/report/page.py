@@ -10,13 +10,12 @@ import polars as pl
 from markupsafe import Markup
 
 from hdt_core.alerts.cases import Limits
-from pipelines.report import charts, tracks, words
-from pipelines.report.answers import answers
+from pipelines.report import charts, words
+from pipelines.report.cards import tonight_with_cards
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.figures import figures
 from pipelines.report.templating import policy, render
 from pipelines.report.thresholds import thresholds
-from pipelines.report.tonight import tonight
 from pipelines.storage.files import replacing
 from pipelines.storage.settings import alert_limits, changed_limits
 from pipelines.words import _
@@ -46,11 +45,11 @@ def page(
     fouling_limit: float = Limits().fouling,
 ) -> str:
     """Render the document in `units` (of `units.SYSTEMS`), with rows of `thresholds` and the home's `limits`."""
-    paper_figures, data = figures(facts), _data(facts)
+    paper_figures, data = figures(facts), dict[str, Any]()
     for k, chart in enumerate(c for f in paper_figures for c in f["charts"]):
         chart["name"] = f"figure-{k}"
-        data["charts"] |= {f"figure-{k}-{system}": chart[system] for system in ("si", "us") if system in chart}
-    scripts = [charts.chart_script(), _asset("page.js")] if data["charts"] else [_asset("page.js")]
+        data |= {f"figure-{k}-{system}": chart[system] for system in ("si", "us") if system in chart}
+    scripts = [charts.chart_script(), _asset("page.js")] if data else [_asset("page.js")]
     until = facts.until()
     return render(
         "report.html",
@@ -59,13 +58,8 @@ def page(
         policy=policy(*scripts),
         scripts=[Markup(s) for s in scripts],
         data=data,
-        tonight=tonight(facts, data["charts"], fouling_limit),
-        ranking=facts["ranking"].to_dicts(),
+        tonight=tonight_with_cards(facts, fouling_limit),
         alerts=_alerts(facts),
-        charted=data["charts"].keys(),
-        recent=lambda row: tracks.recent(facts, row),
-        components=facts["components"].to_dicts(),
-        hit_rates={r["diagnosis"]: r for r in facts["hit_rates"].to_dicts()},
         thresholds=thresholds,
         limits=limits,
         gaps=_gaps(facts),
@@ -74,24 +68,17 @@ def page(
         filter_yield=_filter_yield(facts),
         design=facts["design"].filter(pl.col("scope") != "tail").to_dicts(),
         figures=paper_figures,
-        card=facts.card,
+        model_card=facts.card,
     )
 
 
-def _data(facts: Facts) -> dict[str, Any]:
-    """Return the data of the charts."""
-    own: dict[str, Any] = tracks.pack_tracks(facts) | tracks.unit_tracks(facts)
-    return {"charts": own, "track": charts.track(), "fleet": tracks.fleet_band(facts)} if own else {"charts": {}}
-
-
 def _alerts(facts: Facts) -> dict[str, Any]:
-    """Return open alerts in the ranking's order, those closed lately, and the number of older ones."""
+    """Return the alerts closed lately, and the number of older ones and of all."""
     rows, until = facts["alerts"], facts.until()
     closed = rows.filter(pl.col("closed_at").is_not_null())
     late = closed.filter(pl.col("closed_at") >= until - timedelta(days=CLOSED_DAYS)) if until else closed
     return {
         "n": rows.height,
-        "open": [a | {"answers": answers(facts, a)} for a in rows.filter(pl.col("closed_at").is_null()).to_dicts()],
         "closed": late.to_dicts(),
         "older": closed.height - late.height,
         "days": CLOSED_DAYS,

@@ -3,26 +3,21 @@
 import re
 from collections.abc import Iterator, Mapping
 from datetime import date, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import polars as pl
 
 from hdt_core.components import components
 from pipelines.report import words
-from pipelines.report.answers import CHOICES
-from pipelines.report.facts import Facts, read_frames
+from pipelines.report.facts import Facts
+from pipelines.report.tasks import ACTIONS, action_of, tasks_of
 from pipelines.report.templating import anchor
-from pipelines.report.tracks import pack_tracks, unit_tracks
-from pipelines.storage.settings import alert_limits
 from pipelines.words import _, number, several
 
 Row = dict[str, Any]
 AXIS_DAYS = 120
 """Days that the axis of due dates shows."""
 SPARK_POINTS, SPARK_WIDTH, SPARK_HEIGHT = 40, 90, 26
-WASHABLE = ("HX_FOULING", "CC_DEGRADED")
-"""Diagnoses of wear alone: the choice with the least expected cost is the action."""
 
 
 def tonight(facts: Facts, tracks: Mapping[str, Row], fouling_limit: float) -> dict[str, Any]:
@@ -47,13 +42,6 @@ def tonight(facts: Facts, tracks: Mapping[str, Row], fouling_limit: float) -> di
         "silent": "; ".join(_("{tail} since {day}", tail=g["tail"], day=words.day(g["from_at"])) for g in silent),
         "flights": _flights_line(facts),
     }
-
-
-def read_tonight(home: Path) -> dict[str, Any]:
-    """Read the table of a home as `tonight` returns it."""
-    facts = read_frames(home)
-    tracks = pack_tracks(facts) | unit_tracks(facts)
-    return tonight(facts, tracks, alert_limits(home).fouling)
 
 
 def _summary(act: int, plan: int, n: int) -> str:
@@ -85,6 +73,8 @@ def _row(
         "name": words.unit_name(row),
         "card": card,
         "unit": (*key, code) if own else key,
+        "alerts": alerts,
+        "limit": limits[code],
         "find": words.search_text(row, row["diagnoses"]),
         "notes": list(_notes(facts, row, outlook, alerts)),
         "loss": row["loss" if own else "hx_fouling"],
@@ -152,21 +142,29 @@ def _ticks(until: datetime | None) -> list[tuple[float | None, str]]:
 
 
 def _to_do(facts: Facts, row: Row, alerts: list[Row]) -> tuple[str, str]:
-    """Return the one action, and what it and deferring it are expected to cost where that is known."""
-    action = words.plain(alerts[0]["recommended_action"]) if alerts else ""
+    """Return the one action, and its work and what it and deferring it are expected to cost where that is known."""
+    stops = facts.of_pack("stops", *words.unit_key(row))
     code = alerts[0]["component"] if alerts else row.get("component", "HX")
-    stops = facts.of_pack("stops", *words.unit_key(row)).filter(component=code, place=1).to_dicts()
-    short = re.split(r" \(|; |\. |\.$", action)[0]
-    if not stops or row["urgency"] not in ("act", "plan"):
-        return short, ""
-    best = stops[0]
+    best = next(stops.filter(component=code, place=1).iter_rows(named=True), None)
+    alert = alerts[0] if alerts else {"diagnosis": code, "component": code, "recommended_action": ""}
+    tasks = tasks_of(facts.tasks, alert)
+    action = action_of(alert | {"choice": best["choice"] if best else None}, tasks)
+    acts = row["urgency"] in ("act", "plan")
+    text = _(ACTIONS[action]).capitalize() if best and acts and action != "inspect" else _short_action(alert)
+    effort = tasks[action].effort() if alerts and action in tasks else ""
+    return text, "; ".join(filter(None, (effort, _cost(best) if best and acts else "")))
+
+
+def _short_action(alert: Row) -> str:
+    """Return the first clause of an alert's recommended action."""
+    return re.split(r" \(|; |\. |\.$", words.plain(alert["recommended_action"]))[0]
+
+
+def _cost(best: Row) -> str:
     cost = _("{cost} {currency} to expect", cost=number(best["expected_cost"]), currency=best["currency"])
-    if best["choice"] != "defer" and best["defer_cost"] is not None:
-        cost = _("{cost}, {more} deferred", cost=cost, more=number(best["defer_cost"]))
-    if alerts and (alerts[0]["diagnosis"] not in WASHABLE or _(". Only then: ") in action):
-        return short, cost
-    choice = CHOICES[best["choice"]]
-    return _(choice).capitalize(), cost
+    if best["choice"] == "defer" or best["defer_cost"] is None:
+        return cost
+    return _("{cost}, {more} deferred", cost=cost, more=number(best["defer_cost"]))
 
 
 def _flights_line(facts: Facts) -> str:

@@ -1,25 +1,27 @@
-"""Collect the data of each unit's chart: loss over time, events and forecast."""
+"""Collect the data of each unit's chart: loss over time, events, and the forecast to the level of the message."""
 
-from datetime import UTC, datetime
+from datetime import date
 from itertools import pairwise
 from typing import Any
 
 import polars as pl
 
+from hdt_core.components import components
+from hdt_core.prognosis.model import HORIZON
 from hdt_core.robust import Z_90
 from pipelines.report import words
-from pipelines.report.charts import GREEN, PURPLE, VERMILLION
 from pipelines.report.facts import Facts
 from pipelines.report.templating import anchor
 from pipelines.words import _
 
 POINTS = 180
-"""Flights in a chart, which is some 350 pixels wide."""
+"""Flights in a chart."""
 BANDS = 60
 """Time steps of the fleet's band."""
 LEAST_PACKS = 4
 """Packs that a band needs at each step."""
-DAY_S = 86_400.0
+DAY_MS = 86_400e3
+EPOCH = date(1970, 1, 1)
 Row = dict[str, Any]
 Columns = dict[str, list[Any]]
 
@@ -50,10 +52,11 @@ def pack_tracks(facts: Facts) -> dict[str, Row]:
         if not parts["health"].height:
             continue
         hx = parts["health"].filter(parameter="hx_fouling").rename({"value": "loss", "sd": "loss_sd"})
-        own = _track(hx, parts, row, _pace_ms(facts, row))
         cc = thin(parts["health"].filter(parameter="cc_efficiency_loss"))
-        own["cc"] = {"x": cc.select(_ms("departed_at")).to_series().to_list(), "y": _percent(cc["value"])}
-        tracks[anchor("pack", *key)] = own | {"tail": f"{row['operator']} {row['tail']}"}
+        other = {"x": cc.select(_ms("departed_at")).to_series().to_list(), "y": _percent(cc["value"])}
+        outlook = words.likeliest_outlook(facts["outlooks"], row)
+        tail = f"{row['operator']} {row['tail']}"
+        tracks[anchor("pack", *key)] = _track(hx, parts, outlook, other) | {"tail": tail}
     for tail in {t["tail"] for t in tracks.values()}:  # each of two packs names the other
         for a, b in pairwise([*(names := [k for k, t in tracks.items() if t["tail"] == tail]), names[0]]):
             if a != b:
@@ -68,28 +71,47 @@ def unit_tracks(facts: Facts) -> dict[str, Row]:
         own = facts.of_pack("component_losses", *words.unit_key(row)).filter(component=row["component"])
         alerts = facts.of_pack("alerts", *words.unit_key(row)).filter(component=row["component"])
         if own.height:
-            none = {name: facts[name].clear() for name in ("maintenance", "messages")}
-            tracks[anchor("unit", row["component"], *words.unit_key(row))] = _track(own, {"alerts": alerts} | none)
+            parts = {"alerts": alerts} | {name: facts[name].clear() for name in ("maintenance", "messages")}
+            outlook = words.likeliest_outlook(facts["outlooks"], row)
+            tracks[anchor("unit", row["component"], *words.unit_key(row))] = _track(own, parts, outlook)
     return tracks
 
 
-def _track(
-    losses: pl.DataFrame, parts: dict[str, pl.DataFrame], row: Row | None = None, pace_ms: float | None = None
-) -> Row:
-    """Return the columns of the chart's sources, and its ranges. Times in ms since 1970, losses in percent."""
+def _track(losses: pl.DataFrame, parts: dict[str, pl.DataFrame], outlook: Row, cc: Columns | None = None) -> Row:
+    """Return the data of a chart and its ranges. Times in ms since 1970, losses in percent."""
     flights = thin(losses)
-    at = flights.select(_ms("departed_at")).to_series().to_list()
     half_width = Z_90 * flights["loss_sd"].fill_null(0.0)
     low, high = (_percent(flights["loss"] + side * half_width) for side in (-1, 1))
+    own = {"x": flights.select(_ms("departed_at")).to_series().to_list(), "y": _percent(flights["loss"])}
     whole = parts.get("health", flights).select(a=_ms("departed_at").min(), b=_ms("departed_at").max())
     start, now = whole.row(0)
-    own = {"x": at, "y": _percent(flights["loss"]), "low": low, "high": high}
-    y = (-10.0, max([45.0, *(v + 5.0 for v in own["y"])]))
-    ahead = _ahead(row, pace_ms, now, own["y"][-1] if own["y"] else 0.0) if row and pace_ms else {}
-    span = now - start
-    until = min(max([0.22 * span, *(v - now for v in ahead.get("high", ()))]), 0.5 * span)
-    x = (start, now + (max(1.03 * until, 5e3 * DAY_S) if row else 6e4))
-    return {"own": own, "ahead": ahead, "events": _events(parts, start, y), "x": x, "y": y}
+    line = cc if cc and outlook["component"] == "CC" else own
+    fan = _fan(outlook, now, line["y"][-1]) if line["y"] else {}
+    span = max(now - start, DAY_MS)
+    ahead = min(max([0.22 * span, *(x - now for x, _y in fan.get("area", ()))]), 0.6 * span)
+    top = max([45.0, *(v + 5.0 for v in own["y"]), *(y + 3.0 for _x, y in fan.get("area", ()))])
+    return {
+        "own": own | {"low": low, "high": high}, "cc": cc or {"x": [], "y": []}, "fan": fan, "now": now,
+        "events": _events(parts, start), "x": (start, now + 1.03 * ahead), "y": (-10.0, top),
+    }  # fmt: skip
+
+
+def _fan(outlook: Row, now: int, loss: float) -> Row:
+    """Return corners of the forecast's 90 % interval, its median where there is one, and the level of the message.
+
+    Flights are converted to days at the aircraft's rate. The aircraft raises its message at a loss that differs between
+    flights and units; the level is the usual one.
+    """
+    per_day, ends = outlook["flights_per_day"], [outlook[k] for k in ("rul_low", "rul_flights", "rul_high")]
+    if per_day is None or None in ends:
+        return {}
+    low, median, high = (round(now + n * DAY_MS / per_day) for n in ends)
+    level = max(100.0 * components()[outlook["component"]].limit.mean, loss)
+    near = outlook["rul_flights"] < HORIZON and (outlook["p_event_50"] or 0.0) >= 0.05
+    return {
+        "area": [(now, loss), (low, level), (high, level)], "level": level,
+        "median": [(now, loss), (median, level)] if near else [],
+    }  # fmt: skip
 
 
 def thin(rows: pl.DataFrame) -> pl.DataFrame:
@@ -112,31 +134,22 @@ def _percent(shares: pl.Series) -> list[float]:
     return (100 * shares).round(1).to_list()
 
 
-def _events(parts: dict[str, pl.DataFrame], start: int, y: tuple[float, float]) -> Columns:
+def _events(parts: dict[str, pl.DataFrame], start: int) -> list[Row]:
     """Return work, messages and alerts as marks with texts."""
-    marks: list[tuple[Any, ...]] = [
-        (1e3 * _midnight(w["done_on"]), "triangle", GREEN, w["action"][:1], _work(w))
+    marks = [
+        {"x": DAY_MS * (w["done_on"] - EPOCH).days, "kind": "work", "sign": f"{w['action'][:1]}▲", "text": _work(w)}
         for w in parts["maintenance"].to_dicts()
     ]
     marks += [
-        (1e3 * m["message_time"].timestamp(), "x", VERMILLION, "", f"{words.clock(m['message_time'])}: {_message(m)}")
+        {"x": 1e3 * m["message_time"].timestamp(), "kind": "message", "sign": "✕",
+         "text": f"{words.clock(m['message_time'])}: {_message(m)}"}
         for m in parts["messages"].to_dicts()
+    ]  # fmt: skip
+    inside = [m for m in marks if m["x"] >= start - DAY_MS]
+    return inside + [
+        {"x": 1e3 * a["raised_at"].timestamp(), "kind": "alert", "sign": "◆", "text": _alert(a)}
+        for a in parts["alerts"].to_dicts()
     ]
-    inside = [e for e in marks if e[0] >= start - 1e3 * DAY_S]
-    inside += [(1e3 * a["raised_at"].timestamp(), "diamond", PURPLE, "", _alert(a)) for a in parts["alerts"].to_dicts()]
-    bottom, top = y[0] + 0.04 * (y[1] - y[0]), y[1] - 0.04 * (y[1] - y[0])
-    return {
-        "x": [round(e[0]) for e in inside],
-        "y": [bottom if e[1] == "triangle" else top for e in inside],
-        "bottom": [y[0]] * len(inside),
-        "top": [y[1]] * len(inside),
-        **{name: [e[k] for e in inside] for k, name in enumerate(("marker", "colour", "letter"), start=1)},
-        "text": [words.visible(e[4]) for e in inside],
-    }
-
-
-def _midnight(day: Any) -> float:
-    return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
 
 
 def _work(w: Row) -> str:
@@ -150,37 +163,5 @@ def _message(m: Row) -> str:
 
 
 def _alert(a: Row) -> str:
-    return _("{day}: alert, {diagnosis}", day=words.day(a["raised_at"]), diagnosis=words.diagnosis(a["diagnosis"]))
-
-
-def _pace_ms(facts: Facts, row: Row) -> float | None:
-    """Return the mean time between flights [ms]; None where the record is too short."""
-    (per_day,) = facts["rates"].filter(operator=row["operator"], tail=row["tail"])["flights_per_day"]
-    return None if per_day is None else 1e3 * DAY_S / per_day
-
-
-def _ahead(row: Row, pace_ms: float, now: int, loss: float) -> Columns:
-    """Return the time of the expected message, with flights converted to days.
-
-    The loss at which it is raised differs between flights, so only its time is drawn.
-    """
-    points = {name: row[of] for name, of in (("low", "rul_low"), ("mid", "rul_flights"), ("high", "rul_high"))}
-    p = row["p_event_50"]
-    if None in points.values() or p is None or p < 0.05:
-        return {}
-    return {name: [round(now + n * pace_ms)] for name, n in points.items()} | {"y": [loss]}
-
-
-def recent(facts: Facts, row: Row) -> list[str]:
-    """Return the last three events as text, for touch screens and print."""
-    parts = {name: facts.of_pack(name, *words.unit_key(row)) for name in ("alerts", "maintenance", "messages")}
-    events = [(words.day(w["done_on"]), _work(w)) for w in parts["maintenance"].to_dicts()]
-    events += [
-        (words.day(a["raised_at"]), _alert(a) + ("" if a["closed_at"] is None else _(", closed")))
-        for a in parts["alerts"].to_dicts()
-    ]
-    events += [
-        (words.day(m["message_time"]), f"{words.day(m['message_time'])}: {_message(m)}")
-        for m in parts["messages"].to_dicts()
-    ]
-    return [text for _day, text in sorted(set(events), reverse=True)[:3]]
+    text = _("{day}: alert, {diagnosis}", day=words.day(a["raised_at"]), diagnosis=words.diagnosis(a["diagnosis"]))
+    return text if a["closed_at"] is None else text + _(", closed")

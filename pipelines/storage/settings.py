@@ -39,7 +39,7 @@ def accepted_terms(home: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _read_values(file: Path, names: Iterable[str]) -> dict[str, Any]:
+def read_values(file: Path, names: Iterable[str]) -> dict[str, Any]:
     """Return what a TOML file of the home sets of some names; nothing where there is no file."""
     if not file.exists():
         return {}
@@ -64,7 +64,7 @@ def alert_limits(home: Path) -> "Limits":
     from hdt_core.alerts.cases import Limits  # NumPy is not needed to start a command
 
     file = home / "alerts.toml"
-    values = _read_values(file, [f.name for f in fields(Limits)])
+    values = read_values(file, [f.name for f in fields(Limits)])
     for name, value in values.items():
         if fault := _fault_of_limit(name, value):
             raise StoreError(f"{file}: {name} is {value!r:.40} and ought to be {fault}")
@@ -112,7 +112,7 @@ class Retention:
 def retention(home: Path) -> Retention:
     """Read the retention that the home declares."""
     file = home / "retention.toml"
-    values = _read_values(file, ("keep_days", "hold"))
+    values = read_values(file, ("keep_days", "hold"))
     days, nights = values.get("keep_days", 30), values.get("hold", [])
     if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= MAX_DAYS:
         raise StoreError(f"{file}: keep_days is {days!r:.40} and ought to be a whole number from 1 to {MAX_DAYS}")

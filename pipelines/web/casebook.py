@@ -7,6 +7,7 @@ import re
 import sqlite3
 import threading
 from collections.abc import Collection
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,12 @@ from pipelines.casework.changes import ACTIONS, KINDS, change_case, findings
 from pipelines.digest.changes import Digest, changes_since
 from pipelines.digest.render import lines
 from pipelines.report import words
-from pipelines.report.tonight import read_tonight
+from pipelines.report.cards import tonight_with_cards
+from pipelines.report.facts import read_frames
 from pipelines.storage.cases import ConflictError
 from pipelines.storage.catalog import catalog_version
 from pipelines.storage.postgres import DatabaseError
+from pipelines.storage.settings import alert_limits
 from pipelines.web.guard import Guard
 from pipelines.web.html import html_page
 from pipelines.web.sign_in import LocalToken, SignIn
@@ -43,6 +46,7 @@ def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
     casebook = Casebook(home, with_logout=isinstance(sign_in, LocalToken))
     routes = [
         Route("/", casebook.list, methods=["GET"]),
+        Route("/unit/{card:str}", casebook.unit, methods=["GET"]),
         Route("/case/{alert_id:str}", casebook.show, methods=["GET"]),
         Route("/case/{alert_id:str}", casebook.change, methods=["POST"]),
     ]
@@ -52,13 +56,21 @@ def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
 
 @lru_cache(maxsize=1)
 def _shift_of(home: Path, _version: tuple[int, int]) -> tuple[dict[str, Any], Digest]:
-    return read_tonight(home), changes_since(home)
+    return tonight_with_cards(read_frames(home), alert_limits(home).fouling), changes_since(home)
 
 
 def _read_shift(home: Path) -> tuple[dict[str, Any], Digest]:
-    """Read the report's first table and the changes since the night before, once a night; others wait meanwhile."""
+    """Read table and cards of the report, and the changes since the night before, once a night; others wait."""
     with _READING:
         return _shift_of(home, catalog_version(home))
+
+
+def read_ahead(home: Path) -> None:
+    """Read the night and load what pages need, so that the first answer is as quick as the others."""
+    with suppress(*_UNREADABLE):  # each page reports it
+        _read_shift(home)
+        Board(home).read()
+    html_page("message.html", title="Cases", message="")
 
 
 def _links(rows: list[Row], cases: list[Row]) -> dict[tuple[Any, ...], str]:
@@ -98,6 +110,15 @@ class Casebook:
             request, "cases.html", title="Cases", cases=cases, every=every, rows=rows, ticks=table["ticks"],
             links=_links(rows, own), changes=[group for own_changes in changes for group in lines(own_changes)],
         )  # fmt: skip
+
+    async def unit(self, request: Request) -> Response:
+        """Show the card of one unit."""
+        table, _digest = await run_in_threadpool(_read_shift, self.home)
+        own = [c for c in table["cards"] if request.state.person.may_read(c["operator"])]
+        card = next((c for c in own if c["card"] == request.path_params["card"]), None)
+        if card is None:
+            return self._none(request)
+        return self._page(request, "unit.html", title=card["name"], card=card, hit_rates=table["hit_rates"])
 
     async def show(self, request: Request) -> Response:
         """Show one case."""
@@ -140,13 +161,17 @@ class Casebook:
         board, case = await run_in_threadpool(self.board.read), await self._find(request)
         if case is None:
             return self._none(request)
-        component = component_key(case)
+        table, _digest = await run_in_threadpool(_read_shift, self.home)
+        cards = {c["unit"]: c for c in table["cards"]}
+        unit = component_key(case)
+        card = cards.get(unit) or cards.get(unit[:3])
+        alerts = [a for a in card["alerts"] if a["alert_id"] == case["alert_id"]] if card else []
         context = {
             "title": f"{words.unit_name(case)}: {words.diagnosis(case['diagnosis'])}",
+            "card": card and card | {"alerts": alerts},
+            "hit_rates": table["hit_rates"],
             "history": board.history.get(case["alert_id"], []),
             "findings": list(findings(case["component"])),
-            "due": board.due.get(component),
-            "choices": board.choices.get(component, []),
         }
         return self._page(request, "case.html", status, case=case, message=message, actions=ACTIONS, **context)
 

@@ -75,6 +75,7 @@ def test_work_orders_say_by_when(two_nights, tmp_path):
     answer = CliRunner().invoke(app, ["orders", "--home", str(two_nights), "--out", str(tmp_path / "out")])
     assert answer.exit_code == 0, answer.output
     names = ["reference", "operator", "tail", "pack", "component", "action", "due", "reason", "alert_id"]
+    names += ["minutes", "people", "tools", "part", "zone", "task"]
     sheet = pl.read_csv(tmp_path / "out/orders.csv", infer_schema=False)
     assert sheet.columns == names
     assert sheet["action"].to_list() == ["'=wash & look <now>"] * 2, "no formula for a spreadsheet"
@@ -82,8 +83,10 @@ def test_work_orders_say_by_when(two_nights, tmp_path):
     assert [r["alert_id"] for r in rows] == ["aaaa", "cccc"]
     # five flights at two a day after the last one: two days and a half later the message may have come
     assert {r["due"] for r in rows} == {f"{flight(42)['departed_at'] + dt.timedelta(days=3):%Y-%m-%d}"}
+    assert [(r["minutes"], r["people"], r["task"]) for r in rows] == [(120, 2, "21-52-00-100-801")] * 2
     page = (tmp_path / "out/orders.html").read_text()
+    assert "120 min, 2 people<br>task 21-52-00-100-801<br>zone 191/192" in page
     assert "HDT-aaaa" in page
     assert "&lt;now&gt;" in page
     with connect(two_nights) as con:
-        assert work_orders(con, "ZZZ").is_empty()
+        assert work_orders(con, {}, "ZZZ").is_empty()

@@ -71,8 +71,8 @@ def test_when_raised_and_now_are_told_apart() -> None:
     rows = features(np.linspace(0.0, 0.35, FLIGHTS), door_full_open_share=np.linspace(0.0, 0.4, FLIGHTS) ** 2)
     (alert,) = alerts(rows, NOTHING).to_dicts()
     raised = rows.filter(flight_id=alert["raised_flight_id"])["hx_fouling"].item()
-    assert f"UA lost (hx_fouling) {100 * raised:.0f} % ({100 * raised - 1.6:.0f} to" in alert["evidence"]
-    assert "UA lost (hx_fouling) 35 % (33 to 37)" in alert["evidence_now"]
+    assert f"Heat transfer lost (hx_fouling) {100 * raised:.0f} % ({100 * raised - 1.6:.0f} to" in alert["evidence"]
+    assert "Heat transfer lost (hx_fouling) 35 % (33 to 37)" in alert["evidence_now"]
     assert (alert["raised_severity"], alert["severity"]) == ("medium", "high")
     assert alert["now_flight_id"] == rows["flight_id"][-1]
 

@@ -23,7 +23,8 @@ def text(rule, **changed: object) -> str:
 def test_fouling_in_figures():
     message = text(wording.exchanger)
     # 90 % interval: 1.645 deviations on either side
-    assert "(hx_fouling) 25 % (22 to 28), 12 sigma; above 5 % since F07, and with probability above 0.99" in message
+    assert "(hx_fouling) 25 % (22 to 28), 12 times its uncertainty; above 5 % since F07, and with" in message
+    assert "probability above 0.99" in message
     assert "; 2.1 points more every ten flights" in message
     assert "its last ten flights" not in message
     assert "its last ten flights alone lie 30 % above" in text(wording.exchanger, gained=0.296)
@@ -104,7 +105,7 @@ def test_a_compressor_in_figures():
     }  # fmt: skip
     evidence = wording.compressor(facts, "F07")
     assert (
-        "8.2 % (6.6 to 9.8) against expectation, 8 sigma, believed since F07; worn at all (above 5 %)"
+        "8.2 % (6.6 to 9.8) against expectation, 8 times its uncertainty, believed since F07; worn at all (above 5 %)"
         in evidence.finding
     )
     roles = [(w.role, w.text[:40]) for w in evidence.corroborations]
@@ -121,18 +122,18 @@ def test_a_compressor_in_figures():
     assert "2 % too small" in short[1].text
     assert "1 % may go" in short[2].text
     silent = wording.compressor(facts | {"cc_efficiency_loss": NAN}, "F07")
-    assert "is 4.4 % below this unit's own first flights, 2.0 sigma of a flight" in silent.finding
+    assert "is 4.4 % below this unit's own first flights, 2.0 times the scatter of a flight" in silent.finding
     assert wording.compressor(facts | {"cc_diameter_loss": NAN}, "F").corroborations == ()
     assert len(wording.compressor(facts | {"cc_diameter_left": NAN}, "F").corroborations) == 1
 
 
 def test_doors_and_sensors_in_figures():
     door = wording.door({"kind": "lost travel", "stop": 0.42, "excess_k": 2.0}, "F07").text()
-    assert "no further than 42 %: since F07 the outlet ran up to 2.0 K (6 sigma" in door
+    assert "no further than 42 %: since F07 the outlet ran up to 2.0 K (6 times the scatter" in door
     assert "stays at 42 %" in wording.door({"kind": "jam", "stop": 0.42}, "F07").text()
     shift = {"kind": "shift", "sensor": "hx_out_k", "sigma": 7.25, "p": 0.973}
     by_k = wording.sensor(shift | {"channel": "hx_out_between_packs_k", "moved": -3.456}, "F07").text()
-    assert "moved by -3.46 K (7.2 sigma" in by_k
+    assert "moved by -3.46 K (7.2 times its uncertainty" in by_k
     assert "with probability 0.97" in by_k
     by_ln = wording.sensor(shift | {"channel": "pack_over_compressor_flow_ln", "moved": 0.0712}, "F07").text()
     assert "moved by +7.1 %" in by_ln

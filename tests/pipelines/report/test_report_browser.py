@@ -15,7 +15,7 @@ from pipelines.report.page import write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-FIRST = "#tracks [data-chart]"
+FIRST = "#figures [data-chart]"
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +121,26 @@ def test_a_chart_zooms_and_comes_back(opened):
     assert chart.evaluate(span) == pytest.approx(whole)
 
 
+def test_the_chart_of_a_pack_zooms_into_dates_and_comes_back(opened):
+    page = opened()
+    chart = page.locator("#tracks .track").first
+    chart.scroll_into_view_if_needed()
+    seen = "chart => [...chart.querySelectorAll('.day')].filter((d) => d.style.display !== 'none').length"
+    view, days, box = chart.locator(".plot"), chart.evaluate(seen), chart.bounding_box()
+    assert days > 1
+    middle = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + box["width"] * 0.45, middle)
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] * 0.55, middle, steps=5)
+    page.mouse.up()
+    start, _, width, _ = map(float, view.get_attribute("viewBox").split())
+    assert (start, width) == (pytest.approx(450, abs=15), pytest.approx(100, abs=15))
+    assert chart.evaluate(seen) < days
+    chart.dblclick()
+    assert view.get_attribute("viewBox") == "0 0 1000 1000"
+    assert chart.evaluate(seen) == days
+
+
 def test_charts_are_drawn_when_they_are_looked_at(opened):
     page = opened()
     figure = page.locator("#figures [data-chart]").last
@@ -173,13 +193,13 @@ def test_a_chart_that_changes_while_it_is_drawn_is_there_once_and_as_asked_last(
 
 def test_paper_holds_what_needs_work_with_its_charts(opened, tmp_path):
     page = opened(800)
-    urgent = page.locator("[data-print]").count()
-    page.locator("img.paper").nth(urgent - 1).wait_for(state="attached")
+    urgent = page.locator("article.urgent").count()
+    assert urgent
     page.pdf(path=tmp_path / "report.pdf", prefer_css_page_size=True)
     sheets = len(re.findall(rb"/Type /Page\b", (tmp_path / "report.pdf").read_bytes()))
     assert 1 <= sheets <= 4
     page.emulate_media(media="print")
-    assert page.locator("img.paper:visible").count() == urgent
+    assert page.locator("#tracks .track:visible").count() == urgent
     assert page.locator("#quarantine").is_hidden()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
 

@@ -8,10 +8,12 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipelines.report.charts import chart_script, track
+from pipelines.report.cards import tonight_with_cards
+from pipelines.report.charts import chart_script, cloud
+from pipelines.report.drawing import SIDE, Frame, drawing
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import page, write_report
-from pipelines.report.tracks import fleet_band
+from pipelines.report.tracks import DAY_MS, fleet_band, pack_tracks
 from pipelines.report.words import day, diagnosis, pack_name
 from pipelines.storage.publication import publish
 
@@ -62,7 +64,7 @@ def test_the_sample_page_is_sound(read, sample_page):
 
 
 def test_a_figure_is_the_same_whatever_was_drawn_before():
-    assert track() == track()
+    assert cloud([1, 2], [3, 4], "x") == cloud([1, 2], [3, 4], "x")
 
 
 def test_same_catalog_same_bytes(sample_home, sample_page, tmp_path):
@@ -91,7 +93,7 @@ def test_the_first_table_has_a_row_a_pack_with_its_alerts_and_one_action(facts, 
 def test_the_figures_are_drawn(sample_page):
     figures = sample_page.split('id="figures"')[1].split("</section>")[0]
     assert figures.count("<figure") == 4
-    charts = data(sample_page)["charts"]
+    charts = data(sample_page)
     assert len(re.findall(r'data-chart="([^"]+)"', figures)) == 5
     assert all(f"{name}-si" in charts for name in re.findall(r'data-chart="([^"]+)"', figures))
 
@@ -103,14 +105,79 @@ def data(page: str) -> dict:
 
 def test_a_pack_is_drawn_as_the_catalog_says_it_is(facts, sample_page):
     """The last point of each chart is the pack's own with its interval; and whose the other is."""
-    content = data(sample_page)
+    drawn = pack_tracks(facts)
     for row in facts["ranking"].to_dicts():
-        own = content["charts"][f"pack-{row['operator']}-{row['tail']}-{row['pack']}"]
+        name = f"pack-{row['operator']}-{row['tail']}-{row['pack']}"
+        own, layout = drawn[name], drawing(drawn, name, fleet_band(facts), 0.15)
+        assert f'points="{layout["lines"]["own"]}"' in sample_page
+        x, y = map(float, layout["lines"]["own"].split()[-1].split(","))
+        (x0, x1), (low, top) = own["x"], own["y"]
+        assert x0 + x / SIDE * (x1 - x0) == pytest.approx(own["own"]["x"][-1], abs=1e-4 * (x1 - x0))
+        assert top - y / SIDE * (top - low) == pytest.approx(own["own"]["y"][-1], abs=0.01)
         assert own["own"]["y"][-1] == pytest.approx(100 * row["hx_fouling"], abs=0.06)
         around = 100 * 1.645 * row["hx_fouling_sd"]
         assert own["own"]["high"][-1] - own["own"]["low"][-1] == pytest.approx(2 * around, abs=0.11)
         assert own["own"]["x"][-1] == row["last_departed_at"].timestamp() * 1000
         assert own["other"] == f"pack-{row['operator']}-{row['tail']}-{3 - row['pack']}"
+
+
+def with_outlook(facts: Facts, **values) -> Facts:
+    """The same fleet, each pack with an outlook of its exchanger at two flights a day."""
+    rows = [
+        dict.fromkeys(facts["outlooks"].columns)
+        | {k: r[k] for k in ("operator", "tail", "pack")}
+        | {"component": "HX", "flights_per_day": 2.0, "p_event_50": 0.3}
+        | values
+        for r in facts["ranking"].to_dicts()
+    ]
+    return replace(facts, frames=facts.frames | {"outlooks": pl.DataFrame(rows, schema=facts["outlooks"].schema)})
+
+
+def test_the_forecast_is_a_fan_from_the_last_loss_to_the_messages_level(facts):
+    left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0}
+    for track in pack_tracks(with_outlook(facts, **left)).values():
+        now, loss = track["now"], track["own"]["y"][-1]
+        level = max(38.0, loss)
+        assert track["fan"]["area"] == [(now, loss), (now + 10 * DAY_MS, level), (now + 75 * DAY_MS, level)]
+        assert track["fan"]["median"] == [(now, loss), (now + 30 * DAY_MS, level)]
+    for far in ({"p_event_50": 0.04}, {"rul_flights": 300.0}):
+        tracks = pack_tracks(with_outlook(facts, **(left | far)))
+        assert {len(t["fan"]["median"]) for t in tracks.values()} == {0}, "no median where no message is near"
+    for lacking in ({"flights_per_day": None}, {"rul_low": None}):
+        tracks = pack_tracks(with_outlook(facts, **(left | lacking)))
+        assert [t["fan"] for t in tracks.values()] == [{}] * len(tracks)
+
+
+def test_the_fan_of_a_compressor_starts_from_its_own_loss(facts):
+    left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0, "component": "CC"}
+    half = facts["health"].filter(parameter="hx_fouling").with_columns(parameter=pl.lit("cc_efficiency_loss"))
+    health = pl.concat([facts["health"].filter(parameter="hx_fouling"), half.with_columns(value=0.5 * pl.col("value"))])
+    worn = replace(facts, frames=facts.frames | {"health": health})
+    for track in pack_tracks(with_outlook(worn, **left)).values():
+        assert track["fan"]["area"][0][1] == track["cc"]["y"][-1] != track["own"]["y"][-1]
+        assert track["fan"]["level"] == max(25.0, track["cc"]["y"][-1])
+
+
+def test_a_frame_places_its_corners():
+    frame = Frame((0.0, 10.0), (-10.0, 40.0))
+    assert (frame.across(0.0), frame.across(10.0), frame.down(40.0), frame.down(-10.0)) == (0.0, SIDE, 0.0, SIDE)
+    assert frame.line([(5.0, 15.0)]) == "500,500"
+    assert (
+        frame.area({"x": [0.0, 10.0], "low": [-10.0, -10.0], "high": [40.0, 15.0]}) == "0,0 1000,500 1000,1000 0,1000"
+    )
+
+
+def test_a_card_has_every_choice_with_chance_cost_and_work(facts):
+    cards = tonight_with_cards(facts, 0.15)["cards"]
+    alerts = [a for c in cards for a in c["alerts"]]
+    assert {a["alert_id"] for a in alerts} == set(facts["alerts"].filter(pl.col("closed_at").is_null())["alert_id"])
+    exchangers = [a for a in alerts if a["component"] == "HX"]
+    assert exchangers
+    for alert in exchangers:
+        assert {c[0] for c in alert["choices"]} == {"inspect", "wash", "replace", "defer to the check"}
+        assert all("min, " in c[3] for c in alert["choices"] if c[0] != "defer to the check")
+        chance = {c[0]: c[1] for c in alert["choices"]}
+        assert chance["inspect"] == chance["defer to the check"], "a look alone changes no chance"
 
 
 def test_nine_of_ten_packs_lie_in_the_band_of_the_fleet(facts):
@@ -145,7 +212,7 @@ def test_an_empty_home_says_so(read, tmp_path):
     text = parsed.text()
     assert "No flight yet." in text
     assert "No alert has been raised." in text
-    assert "data-chart" not in {name for _, name, _ in parsed.attributes}
+    assert not {"data-chart", "points"} & {name for _, name, _ in parsed.attributes}
 
 
 def first_flights(facts: Facts, n: int) -> Facts:
@@ -193,7 +260,7 @@ def repeated(facts: Facts, times: int) -> Facts:
 
 def test_fifty_aircraft_stay_below_five_megabytes(facts):
     whole = page(repeated(facts, 25))
-    assert whole.count("data-chart=") >= 100
+    assert whole.count('class="track"') >= 100
     assert len(whole.encode()) < 5_000_000
 
 
