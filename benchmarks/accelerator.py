@@ -1,4 +1,4 @@
-"""What a night could gain from an accelerator at most: `python -m benchmarks.accelerator [S|M|L] [--write]`.
+"""Upper bound of a night's gain from an accelerator: `python -m benchmarks.accelerator [S|M|L] [--write]`.
 
 One first night in one process, Dagster and all; processor seconds of what could go to a device because it works on all
 flights at once as arrays, and Amdahl's bound on the whole if it took no time there. `--write` puts the table into
@@ -27,7 +27,7 @@ PARTS = {
 
 
 def timed(spent: Counter[str]) -> None:
-    """Let the named functions count their processor seconds."""
+    """Instrument the named functions to count their processor seconds."""
     for part, places in PARTS.items():
         for module_name, name in places:
             module = importlib.import_module(module_name)
@@ -46,7 +46,7 @@ def _timed(call: Callable[..., Any], part: str, spent: Counter[str]) -> Callable
 
 
 def table(size: str, whole_s: float, spent: Counter[str]) -> str:
-    """As Markdown."""
+    """Return the table as Markdown."""
     s = SIZES[size]
     lines = [
         f"| a first night of {s.operators * s.tails * s.flights:,} flights | processor [s] | share | bound |",

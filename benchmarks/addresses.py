@@ -15,7 +15,7 @@ _BRIDGE = "hdtbr0"
 
 @contextmanager
 def namespaces(machines: tuple[str, ...]) -> Iterator[dict[str, str]]:
-    """Name of each machine's namespace; none where they can't be made."""
+    """Create a namespace for each machine; empty where that is not permitted."""
     if not machines or os.geteuid() or not shutil.which("ip"):
         yield {}
         return
@@ -44,7 +44,7 @@ def _ip(*words: str) -> None:
 
 @contextmanager
 def forwarding() -> Iterator[None]:
-    """Pass what comes to the bridge on to the servers, which listen on this machine's loopback only."""
+    """Forward connections from the bridge to the servers, which listen on loopback only."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()

@@ -27,7 +27,7 @@ AT_HAND = {"HX": 0.05, "CC": 0.05}
 
 
 class Tally(NamedTuple):
-    """Alerts and failures of some fleets, one row each, with what they are judged by."""
+    """Alerts and failures of some fleets, one row each, with their marks."""
 
     alerts: pl.DataFrame
     failures: pl.DataFrame
@@ -35,7 +35,7 @@ class Tally(NamedTuple):
 
 
 def tally(fleet: Frames, alerts: pl.DataFrame | None = None) -> Tally:
-    """Judge a fleet's alerts, or others raised on the same record."""
+    """Score a fleet's alerts, or others raised on the same record."""
     truth = causes(fleet["truth"])
     alerts_on_pack = place_alerts(fleet["alerts"] if alerts is None else alerts, fleet["truth"])
     failures = _failures(fleet["events"])
@@ -54,7 +54,7 @@ def tally(fleet: Frames, alerts: pl.DataFrame | None = None) -> Tally:
 
 
 def together(parts: list[Tally]) -> Tally:
-    """Some fleets as one."""
+    """Pool the tallies of several fleets."""
     alerts, failures, flights = zip(*parts, strict=True)
     return Tally(pl.concat(alerts), pl.concat(failures), sum(flights))
 
@@ -97,7 +97,7 @@ def place_alerts(alerts: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
 
 
 class Marks(NamedTuple):
-    """What an alert is judged by."""
+    """Criteria met by an alert."""
 
     by_message: bool
     """The message of its component followed within `FOLLOWED` flights."""
@@ -127,7 +127,7 @@ def _judge_alert(alert: dict, truth: pl.DataFrame, failures: pl.DataFrame, findi
 
 
 def _own(rows: pl.DataFrame, alert: dict) -> pl.DataFrame:
-    """Those of an alert's pack and component."""
+    """Select the rows of an alert's pack and component."""
     return rows.filter(tail=alert["tail"], pack=alert["pack"], component=alert["component"])
 
 
@@ -161,7 +161,7 @@ def _findings(maintenance: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
 
 
 def figures_of(scores: Tally, component: str) -> dict[str, float]:
-    """Figures of one component's alerts; NaN where there is none to judge."""
+    """Compute the figures of one component's alerts; NaN where there is none."""
     own = scores.alerts.filter(component=component)
     failures = scores.failures.filter(component=component)
     lead = failures["lead"].drop_nulls().to_numpy()
@@ -198,7 +198,7 @@ def _mean(flags: pl.Series) -> float:
 
 
 def by_component(scores: Tally) -> str:
-    """A row a component."""
+    """Return a table with a row per component."""
     rows = {words: figures_of(scores, component) for component, words in COMPONENTS.items()}
     lines = [["component", *next(iter(rows.values()))]]
     return markdown([*lines, *([words, *map(_cell, row.values())] for words, row in rows.items())])

@@ -1,4 +1,4 @@
-"""What Dagster's bookkeeping costs a night, by one process's own clock.
+"""Processor time of Dagster's bookkeeping in a night.
 
 Two nights, one with Dagster and one without, differ by a tenth, and so does the same night from one quarter of an hour
 to the next. So a night's processor time is taken apart within it: what passes in runs, less what passes in the assets'
@@ -19,14 +19,14 @@ from pipelines.resources import FrameIO
 
 
 class Clock:
-    """Processor seconds, nested ones counted once."""
+    """Accumulator of processor seconds; nested intervals count once."""
 
     def __init__(self) -> None:
         self.seconds, self._within = 0.0, 0
 
     @contextmanager
     def ticking(self) -> Iterator[None]:
-        """Count what passes in the block."""
+        """Accumulate the time of the block."""
         began, self._within = time.process_time(), self._within + 1
         try:
             yield
@@ -35,7 +35,7 @@ class Clock:
             self.seconds += 0.0 if self._within else time.process_time() - began
 
     def of(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, counted."""
+        """Wrap a function to accumulate its time."""
 
         @wraps(function)
         def counted(*args: Any, **kwargs: Any) -> Any:
@@ -45,7 +45,7 @@ class Clock:
         return counted
 
     def of_each(self, function: Callable[..., Iterator[Any]]) -> Callable[..., Iterator[Any]]:
-        """The function that returns an iterator, counted while it makes the next."""
+        """Wrap a generator function to accumulate the time of each item."""
 
         @wraps(function)
         def counted(*args: Any, **kwargs: Any) -> Iterator[Any]:

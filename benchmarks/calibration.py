@@ -36,7 +36,7 @@ Z95 = 1.960
 
 
 def replicate_fleet(frame: pl.DataFrame, times: tuple[str, ...], tails: int, turns: int) -> pl.DataFrame:
-    """The same flights again and again: `turns` times later on, on `tails` aircraft."""
+    """Replicate flights `turns` times in time and over `tails` aircraft."""
     copies = pl.concat(
         frame.with_columns(
             flight_id=pl.col("flight_id") + f"_{k:02d}", **{t: pl.col(t) + pl.duration(days=200 * k) for t in times}
@@ -90,7 +90,7 @@ def recursion(seed: int = 1) -> str:
 
 
 def table(fleets: pl.DataFrame) -> str:
-    """Bars, goals and what was measured."""
+    """Return the table of measures, goals and results."""
     metered, blind = fleets.filter(pl.col("ram_seen") == 1.0), fleets.filter(pl.col("ram_seen") == 0.0)
 
     def rms(frame: pl.DataFrame, column: str) -> float:

@@ -1,4 +1,4 @@
-"""What partitions and events alone cost: `python -m benchmarks.cells [--cells N ...] [--postgres URL] [--write]`.
+"""Cost of partitions and events alone: `python -m benchmarks.cells [--cells N ...] [--postgres URL] [--write]`.
 
 One empty asset over aircraft x flight, ten years of flight keys, 10,000 cells an aircraft: no data, no table. The event
 log is filled run by run of 1,000 cells through the project's own storage classes, SQLite and, where a server is named,
@@ -82,7 +82,7 @@ class History:
     filled: int = 0
 
     def fill(self, cells: int, runner: Runner) -> None:
-        """So many cells, the last of them by real runs that are timed."""
+        """Fill cells up to a number, the last ones by timed runs."""
         event = None
         while self.filled < cells - REAL_RUNS * CELLS_A_RUN:
             event = event or self._example(runner)
@@ -90,7 +90,7 @@ class History:
         self.run_s = [self._timed(lambda: self._run(runner)) for _ in range((cells - self.filled) // CELLS_A_RUN)]
 
     def _batch(self) -> PartitionBatch:
-        """The next thousand cells."""
+        """Return the next thousand cells."""
         first, at = self.filled % len(FLIGHTS), self.filled // len(FLIGHTS)
         self.filled += CELLS_A_RUN
         own = FLIGHTS[first : first + CELLS_A_RUN]
@@ -101,14 +101,14 @@ class History:
         assert why is None, why
 
     def _example(self, runner: Runner) -> EventLogEntry:
-        """A materialisation of a real run."""
+        """Return a materialisation event of a real run."""
         self._run(runner)
         (run,) = self.instance.get_runs(limit=1)
         kind = dg.DagsterEventType.ASSET_MATERIALIZATION
         return next(iter(self.instance.all_logs(run.run_id, of_type=kind)))
 
     def _record(self, event: EventLogEntry, batch: PartitionBatch) -> None:
-        """The event, as of a run that made the batch."""
+        """Store the event as if a run had made the batch."""
         keys = partitions.cell_keys(batch.cells)
         materialization = dg.AssetMaterialization(
             "empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0])
@@ -125,7 +125,7 @@ class History:
         return time.perf_counter() - began
 
     def row(self) -> dict[str, float]:
-        """What a run took, what a cell takes, how long the partitions page waits."""
+        """Measure run time, storage per cell and response time of the partitions page."""
         loader = {"partitions_def": partitions.AIRCRAFT_FLIGHTS, "dynamic_partitions_loader": self.instance}
 
         def status() -> None:
@@ -185,7 +185,7 @@ def postgres(scratch: Path, server: str) -> Iterator[History]:
 
 
 def measured(history: History, sizes: list[int]) -> list[dict[str, float]]:
-    """A row a size."""
+    """Return a row per size."""
     defs = dg.Definitions([empty], resources={"io_manager": Nothing()}, executor=dg.in_process_executor)
     runner = Runner(defs, history.instance, Ledger(Path()), BY)
     keys = [aircraft(n) for n in range(max(sizes) // len(FLIGHTS) + 1)]
@@ -202,7 +202,7 @@ def measured(history: History, sizes: list[int]) -> list[dict[str, float]]:
 
 
 def table(results: dict[str, list[dict[str, float]]]) -> str:
-    """As Markdown."""
+    """Return the table as Markdown."""
     lines = [
         "| event log | cells | a run of 1,000 [s] | bytes a cell | status of all cells, first [s] | again [s]"
         " | all made cells [s] |",

@@ -54,7 +54,7 @@ def admit_fleet(
 def calibrate(
     verdicts: pl.DataFrame, samples: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame
 ) -> Tables:
-    """From the commissioning window of each tail, and what the logs said until it ended."""
+    """Calibrate from each tail's commissioning window and the log entries up to its end."""
     within = pl.col("flight_id").is_in(baseline_flights(verdicts))
     verdicts, samples = verdicts.filter(within), samples.filter(within)
     logs = [records_until(log, verdicts) for log in (maintenance, messages)]
@@ -98,7 +98,7 @@ def features(
     margin: pl.DataFrame,
     witnesses: pl.DataFrame,
 ) -> Tables:
-    """Features with what each flight asked beside them."""
+    """Compute features and add each flight's demand."""
     compared = compare(samples, alone, dsm)
     described = describe(
         health, compared, verdicts, maintenance, twin_flights=alone, cross_checks=witnesses, demand=margin
@@ -113,7 +113,7 @@ def alert(features: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFram
 
 
 def foretell(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> Tables:
-    """Prognoses of each tail by what the others had taught when the month began."""
+    """Predict each tail by models trained on the other tails up to the month's start."""
     record = FleetRecord(features, messages, maintenance)
     return {"lives": record.lives(), "prognoses": update_model(shipped_base(), None, record).prognoses}
 
@@ -126,7 +126,7 @@ UP_TO_ALERTS = tuple(step for step in STEPS if step not in (admit, foretell))
 
 
 def run(tables: Tables, steps: Iterable[Callable[..., Tables]] = STEPS) -> Tables:
-    """What the record (`RECORD`) and the steps made; each step's arguments are named after what it reads."""
+    """Run the steps on a record (`RECORD`); each step's arguments name the tables it reads."""
     tables = dict(tables)
     for step in steps:
         tables |= step(**{name: tables[name] for name in signature(step).parameters})

@@ -52,7 +52,7 @@ def _scaled(node: ast.expr, old: str, factor: float, scale: str) -> str:
 
 
 def _value(body: list[ast.stmt], name: str, steps: list[str]) -> ast.expr:
-    """What is assigned to a name; takes a class's field off `steps`."""
+    """Return the expression assigned to a name; consumes a class's field from `steps`."""
     for statement in body:
         if isinstance(statement, ast.ClassDef) and statement.name == name:
             return _value(statement.body, steps.pop(0), steps)

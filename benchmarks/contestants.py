@@ -1,4 +1,4 @@
-"""What may foretell a message, from the barest to the truth, through one learner: hazard, interval levels, alert.
+"""Predictors of a message, from raw signals to the truth, through one learner: hazard, interval levels, alert.
 
 Each contestant learns from fleets of its own and is asked about others. They differ in their inputs alone.
 """
@@ -44,7 +44,7 @@ class Cases:
 
 
 def rows_of(fleet: Frames) -> Cases:
-    """All flights of a fleet, as every contestant sees them."""
+    """Build each contestant's inputs for all flights of a fleet."""
     lives = fleet["lives"]
     truth = fleet["truth"].select(
         "tail", "flight_id", "pack", "index", loss=1.0 - pl.min_horizontal("ua_ratio", "apparent_ua_ratio")
@@ -90,7 +90,7 @@ class Learner:
 
     @classmethod
     def fit(cls, cases: Cases, name: str, seed: int = 0) -> "Learner":
-        """Two thirds of the tails teach the hazard, the last third the interval."""
+        """Fit the hazard on two thirds of the tails and the interval levels on the rest."""
         # a probe that no taught aircraft carries tells nothing
         use = (cases.remaining >= 1) & (np.arange(cases.remaining.size) % THIN == 0)
         tails = cases.frame["tail"].to_numpy()
@@ -106,7 +106,7 @@ class Learner:
         return cls(model, learn_levels(by, left, failed, life, prior_lives=5.0), informative)
 
     def say(self, cases: Cases, name: str) -> pl.DataFrame:
-        """Prognoses of every row, in the columns of `prognoses`, and the risk of a message within 100 flights."""
+        """Predict every row in the columns of `prognoses`, with the risk of a message within 100 flights."""
         by = event_by(hazards([self.model], np.where(self.informative, cases.inputs[name], 0.0)))
         low, middle, high = (quantile(by, level) for level in self.levels)
         return outcome(cases).with_columns(
@@ -144,7 +144,7 @@ def extrapolated(taught: Cases, cases: Cases) -> pl.DataFrame:
 
 
 def outcome(cases: Cases) -> pl.DataFrame:
-    """What became of each row, as `score_prognoses` wants it."""
+    """Return each row's outcome in the columns of `score_prognoses`."""
     rows = cases.frame.with_columns(
         remaining=pl.Series(cases.remaining), failed=pl.Series(cases.failed), life=pl.Series(cases.life)
     )
@@ -178,7 +178,7 @@ def lead_at_budget(forecasts: pl.DataFrame, early_per_1000: float = 2.0) -> tupl
 
 
 def _raised(risk: Array, first: NDArray[np.bool_], threshold: float) -> NDArray[np.bool_]:
-    """Flights on which an alert is raised: not again until the risk has fallen clearly below the threshold."""
+    """Return the flights that raise an alert, with hysteresis below the threshold."""
     out, on = np.zeros(risk.size, dtype=bool), False
     clear = threshold * (0.5 if threshold > 0 else 2.0)
     for k in range(risk.size):

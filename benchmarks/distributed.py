@@ -31,7 +31,7 @@ N_STORED = "select count(distinct tail) from done where asset = 'raw_flights'"
 
 @dataclass
 class Row:
-    """What a backfill was like."""
+    """Measurements of one backfill."""
 
     how: str
     wall_s: float
@@ -67,7 +67,7 @@ def alone(fleet: Site) -> Row:
 
 
 def together(fleet: Site, how: str, meanwhile: Callable[[], str] = lambda: "night") -> Row:
-    """A backfill by the workers that are there; `meanwhile` meddles, and says on which machine the night ends."""
+    """Run a backfill on the running workers; `meanwhile` disturbs it and returns the machine the night ends on."""
     fleet.forget()
     since, began = fleet.now(), time.monotonic()
     fleet.night("night")
@@ -100,7 +100,7 @@ def _steps(records: list) -> float:
 
 
 def half_way(fleet: Site, aircraft: int) -> None:
-    """Until half of the aircraft have their flights."""
+    """Wait until half of the aircraft have their flights stored."""
     wait(lambda: fleet.rows(N_STORED)[0][0] >= aircraft // 2, 1800, "the backfill does not begin")
 
 
@@ -148,7 +148,7 @@ def measured(root: Path, flights: int, aircraft: int) -> list[tuple[Row, int]]:
 
 
 def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
-    """As Markdown."""
+    """Return the table as Markdown."""
     first, by = rows[0][0], {row.how: row for row, _ in rows}
     speedup = by["one worker"].shared_s / by["two workers"].shared_s
     head = "| backfill | wall [s] | flights/s | not in steps | runs | retried | cells twice | tables | load |"

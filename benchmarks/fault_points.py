@@ -30,7 +30,7 @@ _ENDS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
 
 
 def arm(plan: str, cut: Callable[[], None] | None = None) -> None:
-    """Let a fault happen in this process, once; `cut` goes before a kill. A hook stays as long as its process."""
+    """Arm one fault in this process; `cut` runs before a kill. The audit hook lasts as long as the process."""
     target, nth, action = (*plan.split(":"), "kill")[:3]
     events = {f"hdt.{point}" for point in POINTS if target in (point, "any")}
     passed = count(1)

@@ -1,4 +1,4 @@
-"""What two homes must agree on, whoever made them and in whatever order: a hash of every table's rows."""
+"""Fingerprint of a home: a hash of every table's rows, independent of how they were made."""
 
 import hashlib
 from pathlib import Path

@@ -40,17 +40,22 @@ def recorded_in_si(snapshots: pl.DataFrame, operator: str, tail: str) -> pl.Data
     return snapshots.select(*key, when, pl.lit("acms").alias("source"), "phase_code", *signals)
 
 
-def fly(seed: int, settings: FleetSettings) -> Frames:
-    """One fleet through the chain: alerts, features with what was asked, logs and lives, truth and events."""
+def simulate_record(seed: int, settings: FleetSettings) -> Frames:
+    """Simulate a fleet: snapshots, maintenance and messages as the raw stage stores them; health and events."""
     frames: dict[str, list[pl.DataFrame]] = defaultdict(list)
     for craft in simulate_fleet(seed, settings):
         whose = [pl.lit(craft.operator).alias("operator"), pl.lit(craft.tail).alias("tail")]
         frames["snapshots"].append(recorded_in_si(craft.snapshots, craft.operator, craft.tail))
         for name in ("maintenance", "messages"):
             frames[name].append(getattr(craft, name).with_columns(whose).with_columns(pl.col("pack").cast(pl.Int32)))
-        for name in ("fleet", "health", "events"):
+        for name in ("health", "events"):
             frames[name].append(getattr(craft, name))
-    all_of = {name: pl.concat(parts, how="diagonal_relaxed") for name, parts in frames.items()}
+    return {name: pl.concat(parts, how="diagonal_relaxed") for name, parts in frames.items()}
+
+
+def fly(seed: int, settings: FleetSettings) -> Frames:
+    """Run one fleet through the chain: alerts, features with demand, logs and lives, truth and events."""
+    all_of = simulate_record(seed, settings)
     tables = run({name: all_of[name] for name in RECORD}, UP_TO_ALERTS)
     lives = episodes(tables["features"], tables["messages"], tables["maintenance"])
     outputs = {name: tables[name] for name in ("messages", "maintenance", "alerts", "features")}

@@ -76,7 +76,7 @@ def _renamed(frame: pl.DataFrame, tail: str, name: str) -> pl.DataFrame:
 
 
 def query_times_ms(home: Path) -> dict[str, float]:
-    """Milliseconds each question takes."""
+    """Return the time of each query. [ms]"""
     times_ms = {}
     with connect(home) as con:
         for name, sql in QUESTIONS.items():
@@ -90,7 +90,7 @@ def query_times_ms(home: Path) -> dict[str, float]:
 
 
 def row(home: Path, aircraft: int) -> dict[str, float]:
-    """What a home of so many aircraft holds and takes."""
+    """Measure size and response times of a home."""
     files = list((home / "tables").rglob("*.parquet"))
     began = time.perf_counter()
     publish(home)
@@ -100,7 +100,7 @@ def row(home: Path, aircraft: int) -> dict[str, float]:
 
 
 def table(rows: list[dict[str, float]], flights: int) -> str:
-    """As Markdown."""
+    """Return the table as Markdown."""
     head = ["aircraft", "flights", "files", "MB", "publish [s]", *(f"{q} [ms]" for q in QUESTIONS)]
     lines = ["| " + " | ".join(head) + " |", "|" + " ---: |" * len(head)]
     for r in rows:

@@ -1,4 +1,4 @@
-"""What the benchmarks share: arguments, tables in Markdown, and the places of docs/ that they are written to."""
+"""Shared parts of the benchmarks: arguments, Markdown tables, and marked sections of docs/."""
 
 import argparse
 import os
@@ -9,25 +9,25 @@ PAGE = Path(__file__).parents[1] / "docs" / "benchmark.md"
 
 
 def arguments(doc: str | None) -> argparse.ArgumentParser:
-    """A parser that says what the module's docstring `doc` says, and knows `--write`."""
+    """Return a parser described by the module's docstring `doc`, with the option `--write`."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="put what is found into its page of docs/")
     return parser
 
 
 def machine() -> str:
-    """What it ran on, in a line."""
+    """Describe the machine in one line."""
     return f"Machine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}."
 
 
 def markdown(lines: list[list[str]]) -> str:
-    """A table: its head, then its rows."""
+    """Return a Markdown table: head, then rows."""
     head, *rows = ["| " + " | ".join(line) + " |" for line in lines]
     return "\n".join([head, "| --- |" + " ---: |" * (len(lines[0]) - 1), *rows])
 
 
 def show(mark: str, text: str, page: Path = PAGE, *, write: bool) -> None:
-    """Print a text; put it between the marks of that name in its page where asked to `write`."""
+    """Print a text; with `write`, put it between the marks of that name in its page."""
     print(f"\n## {mark}\n\n{text}", flush=True)
     if write:
         put(mark, text, page)

@@ -1,4 +1,4 @@
-"""Types never seen: the message foretold on one type by what others taught, `python -m benchmarks.held_out`.
+"""Transfer between types: the message of one type predicted by models of others, `python -m benchmarks.held_out`.
 
     python -m benchmarks.held_out --fleet NAME HOME TRUTH [--fleet ...] [--own N] [--write]
 
@@ -37,7 +37,7 @@ def by_input(cases: Cases) -> Cases:
 
 
 def read(home: Path, folder: Path) -> chain.Tables:
-    """One fleet through the chain, with the lives that were so."""
+    """Run one fleet through the chain and add its true lives."""
     tables = chain.run(samples.record(home) | samples.truth(folder))
     return tables | {"lives": samples.true_lives(tables["features"], tables["truth"], tables["events"])}
 
@@ -49,7 +49,7 @@ def line(scored_on: str, taught: str, inputs: str, scored: pl.DataFrame) -> list
 
 
 def table(fleets: dict[str, chain.Tables], own: list[chain.Tables]) -> str:
-    """Every teacher against every other fleet."""
+    """Score every training fleet on every other fleet."""
     rows = {name: by_input(rows_of(tables)) for name, tables in fleets.items()}
     teachers = rows | ({"own designs": by_input(together([rows_of(tables) for tables in own]))} if own else {})
     lines = [["asked", "taught by", "inputs", "AUC, 50", "Brier skill, 50", "C-index", "Brier skill, 100"]]

@@ -1,4 +1,4 @@
-"""Priors and thresholds, where each comes from, and what halving and doubling it does: `python -m benchmarks.ledger`.
+"""Priors and thresholds, their sources, and the effect of halving and doubling them: `python -m benchmarks.ledger`.
 
     python -m benchmarks.ledger run --fleet NAME HOME TRUTH [--fleet ...] --results FILE [--only PATTERN ...]
     python -m benchmarks.ledger write --results FILE
@@ -71,7 +71,7 @@ def ledger() -> list[Constant]:
 
 
 def figures(tables: chain.Tables) -> dict[str, float]:
-    """What a change is judged by, keys of `MOVES`."""
+    """Compute the figures that measure a change, keys of `MOVES`."""
     lives = samples.true_lives(tables["features"], tables["truth"], tables["events"])
     life = score_prognoses(join_outcomes(tables["prognoses"], tables["features"], lives))
     key = ["tail", "flight_id", "pack"]
@@ -94,7 +94,7 @@ def _graph() -> grimp.ImportGraph:
 
 
 def affected(module: str) -> list[str]:
-    """Steps of the chain that can see a module."""
+    """Return the steps of the chain that depend on a module."""
     steps = []
     for step in chain.STEPS:
         uses = {v.__module__ for n in step.__code__.co_names if (v := getattr(chain, n, None)) and callable(v)}
@@ -105,7 +105,7 @@ def affected(module: str) -> list[str]:
 
 
 def remade(tables: chain.Tables, steps: list[str]) -> chain.Tables:
-    """The chain after a change that these steps can see: they run, and what reads what they changed."""
+    """Rerun these steps, and every step that reads what they changed."""
     tables, changed_tables = dict(tables), set[str]()
     for step in chain.STEPS:
         reads = set(signature(step).parameters)
@@ -123,7 +123,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 def tried(constant: Constant, factor: float, pickled: Path, copy: Path) -> dict[str, float]:
-    """Figures with one constant changed, by a process that reads the changed sources, a copy of ours."""
+    """Compute the figures with one constant changed, in a process on a copy of the sources."""
     file = copy.joinpath(*constant.module.split(".")).with_suffix(".py")
     source = file.read_text()
     file.write_text(changed(source, constant.path, factor, constant.scale))
@@ -137,14 +137,14 @@ def tried(constant: Constant, factor: float, pickled: Path, copy: Path) -> dict[
 
 
 def copied(folder: Path) -> Path:
-    """A copy of the sources below a folder."""
+    """Copy the sources below a folder."""
     for package in ("hdt_core", "pipelines", "benchmarks", "dagster_batched"):
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
     return folder
 
 
 def run(fleets: list[list[str]], results: Path, only: list[str], every: int) -> None:
-    """Try what the results file does not hold yet; of each fleet one aircraft in `every`."""
+    """Run the changes missing from the results file, on one aircraft in `every` of each fleet."""
     for name, home, folder in fleets:
         pickled = results.with_suffix(f".{name}.pickle")
         if not pickled.exists():
@@ -196,7 +196,7 @@ def table(results: Path) -> str:
 
 
 def standing_cells() -> dict[str, dict[str, str]]:
-    """What the page's list says was moved, by constant and change."""
+    """Read the effects listed on the page, by constant and change."""
     lines = [line.removeprefix("- ").partition(" -> ") for line in PAGE.read_text().splitlines() if line[:3] == "- `"]
     return {left.partition(": ")[0]: dict(re.findall(r"(\w+ \w+): ([^;]+)", effects)) for left, _, effects in lines}
 

@@ -22,7 +22,7 @@ import polars as pl
 from scipy.stats import chi2
 
 from benchmarks.chain import admit_fleet
-from benchmarks.fleets import recorded_in_si
+from benchmarks.fleets import simulate_record
 from hdt_core.flight.cross_checks import LEG_CHECKS, TOLERANCE, check_sensors, learn_outlet_law
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.manifold import learn_manifold
@@ -32,7 +32,6 @@ from hdt_core.flight.steady import SLOPE_T_LIMIT, WINDOW_S
 from hdt_core.flight.windows import number_flights
 from hdt_core.records.keys import LEG
 from hdt_core.simulate.design import FleetSettings
-from hdt_core.simulate.fleet import simulate_fleet
 
 SIZE = FleetSettings(operators=2, tails=3, flights=300, cpl_share=0.0)
 SEEDS = (11, 12, 13, 14)
@@ -53,18 +52,9 @@ class Fleet(NamedTuple):
 
 
 def fleet_of(seed: int, size: FleetSettings = SIZE) -> Fleet:
-    aircraft = list(simulate_fleet(seed, size))
-    snapshots = pl.concat(recorded_in_si(a.snapshots, a.operator, a.tail) for a in aircraft)
-
-    def logged(name: str) -> pl.DataFrame:
-        place = [(pl.lit(a.operator).alias("operator"), pl.lit(a.tail).alias("tail")) for a in aircraft]
-        return pl.concat(
-            getattr(a, name).with_columns(*p, pl.col("pack").cast(pl.Int32))
-            for a, p in zip(aircraft, place, strict=True)
-        )
-
-    truth = pl.concat(a.health for a in aircraft).filter("arrived").with_columns(pl.col("pack").cast(pl.Int32))
-    maintenance, messages = logged("maintenance"), logged("messages")
+    record = simulate_record(seed, size)
+    snapshots, maintenance, messages = (record[name] for name in ("snapshots", "maintenance", "messages"))
+    truth = record["health"].filter("arrived").with_columns(pl.col("pack").cast(pl.Int32))
     start = time.process_time()
     legs, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
     cpu_s = time.process_time() - start

@@ -53,7 +53,7 @@ def _since(before: dict[str, int]) -> str:
 
 
 def table(rows: dict[str, dict[str, object]]) -> str:
-    """As Markdown."""
+    """Return the table as Markdown."""
     lines = ["| | " + " | ".join(rows) + " |", "| --- |" + " ---: |" * len(rows)]
     for label, key, form in (
         ("first night [s]", "night", ".0f"),

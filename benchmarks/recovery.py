@@ -1,4 +1,4 @@
-"""How soon a killed night goes on, at 100,000 flights: `python -m benchmarks.recovery [--flights N] [--write]`.
+"""Recovery time after a killed night, at 100,000 flights: `python -m benchmarks.recovery [--flights N] [--write]`.
 
 Claim: the home is open again within 2 s. A real night over one small aircraft is killed (SIGKILL) in the step of
 flights; then the home is given the weight of a fleet, with nothing estimated: a file a flight in the landing zone, its
@@ -63,7 +63,7 @@ def killed(root: Path) -> tuple[Path, Path]:
 
 
 def grow(landing: Path, home: Path, flights: int) -> None:
-    """Give landing zone, ledger, store and history what so many more flights leave there."""
+    """Extend landing zone, ledger, store and history by some flights."""
     days = [date(2018, 1, 1) + timedelta(d) for d in range(flights // len(AIRCRAFT) // LEGS)]
     ids = [f"{day:%Y%m%d}_{leg:02d}" for day in days for leg in range(1, LEGS + 1)]
     ledger, files, flights_of_file = Ledger(home), [], {}
@@ -175,14 +175,14 @@ def measured(landing: Path, home: Path, rounds: int) -> Spent:
 
 
 def table(flights: int, spent: Spent) -> str:
-    """As Markdown."""
+    """Return the table as Markdown."""
     lines = [f"| reopening at {flights:,} flights | wall [s] | processor [s] |", "| --- | ---: | ---: |"]
     lines += [f"| {label} | {spent[part][0]:.2f} | {spent[part][1]:.2f} |" for part, label in PARTS.items()]
     return "\n".join([*lines, f"\n{machine()}"])
 
 
 def child(what: str, landing: Path, home: Path) -> None:
-    """A night that will be killed, or a reopening."""
+    """Run a night to be killed, or a reopening."""
     if what == "night":
         arm("before_mark:9")
         nightly.run_night(landing, home, Silent())

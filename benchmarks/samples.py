@@ -15,7 +15,7 @@ from pipelines.storage.store import Store
 
 
 def record(home: Path) -> Tables:
-    """What a chain begins with."""
+    """Read the record a chain starts from."""
     store = Store(home)
     snapshots = pl.concat([store.read_table("raw_snapshots"), store.read_table("raw_logs")])
     return {
@@ -26,7 +26,7 @@ def record(home: Path) -> Tables:
 
 
 def truth(folder: Path) -> Tables:
-    """What was so: `truth` by flight and pack, `events` by unit."""
+    """Read the truth: `truth` by flight and pack, `events` by unit."""
     health, events = (pl.read_parquet(folder / f"{name}.parquet") for name in ("health", "events"))
     pack = pl.col("pack").cast(pl.Int32)
     return {"truth": health.with_columns(pack).sort("tail", "pack", "index"), "events": events.with_columns(pack)}

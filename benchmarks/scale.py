@@ -51,7 +51,7 @@ COLUMNS = "flight_id", "pack", "report_time", "hx_in_degc", "hx_out_degc", "tat_
 
 
 class Silent:
-    """No bars."""
+    """Progress without output."""
 
     def start(self, label: str, total: int) -> None:
         """A step begins."""
@@ -81,7 +81,7 @@ class Bare:
         return PartitionIndex(self.keys["aircraft"], self.keys["flight"], by_aircraft(self.ledger.flights_on_file()))
 
     def make(self, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
-        """Make the tables, store them, mark them."""
+        """Compute, store and mark the tables."""
         cells = batch.partition_keys() or None
         home, scope = self.defs.resources["home"], PartitionScope.of(cells)
         keeper = FrameIO(home.store, home.ledger)
@@ -94,7 +94,7 @@ class Bare:
 
 
 def night(landing: Path, home: Path, shared: bool = True) -> None:
-    """What `hdt nightly` does, side by side where that is worth it."""
+    """Run a night as `hdt nightly` does, in parallel where that pays."""
     with around_night.lock_home(home):
         done = nightly.run_night(landing, home, Silent(), jobs=cores() if shared else 1)
         assert not done.failed, done.failed
@@ -103,14 +103,14 @@ def night(landing: Path, home: Path, shared: bool = True) -> None:
 
 
 def alone(landing: Path, home: Path) -> dict[str, float]:
-    """The same in one process; what of it is Dagster's bookkeeping."""
+    """Run a night in one process and measure Dagster's bookkeeping."""
     with bookkeeping() as seconds:
         night(landing, home, shared=False)
         return {"dagster_s": seconds()}
 
 
 def bare(landing: Path, home: Path) -> None:
-    """The same without Dagster."""
+    """Run a night without Dagster."""
     runs.open_instance = lambda home: None
     runs.Runner = Bare
     night(landing, home, shared=False)
@@ -169,7 +169,7 @@ def measured(name: str, landing: Path, home: Path) -> dict[str, float]:
 
 
 def child(name: str, landing: Path, home: Path) -> None:
-    """Do it, and say what it cost, imports left out."""
+    """Run a contestant and print its cost, imports excluded."""
     began, before = time.monotonic(), _cpu_s()
     result = CONTESTANTS[name](landing, home) or {}
     wall = time.monotonic() - began

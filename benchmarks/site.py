@@ -93,23 +93,23 @@ class Site:
         wait(lambda: self.read_log(machine).count(" ready.") > before, 60, f"{machine} does not begin")
 
     def night(self, machine: str, *words: str) -> subprocess.Popen[bytes]:
-        """A night, under way."""
+        """Start a night."""
         return self.start(machine, str(BIN / "hdt"), "nightly", "--json", *words)
 
     def by_itself(self, *words: str) -> dict:
-        """What `hdt` says where no variable leads elsewhere."""
+        """Run `hdt` without the site's variables and return its JSON."""
         env = {k: v for k, v in os.environ.items() if not k.startswith(("HDT_", "DAGSTER_"))} | ONE_THREAD
         done = subprocess.run([BIN / "hdt", *words], env=env, check=True, capture_output=True, text=True)
         return dict(json.loads(done.stdout))
 
     def kill(self, machine: str) -> None:
-        """As when its power is cut: the whole process group, at once."""
+        """Kill the machine's whole process group at once, as a power cut would."""
         with suppress(ProcessLookupError):
             os.killpg(self.processes[machine].pid, signal.SIGKILL)
         self.processes.pop(machine).wait()
 
     def read_log(self, machine: str) -> str:
-        """Everything its processes wrote."""
+        """Return the output of a machine's processes."""
         log = self.root / f"{machine}.log"
         return log.read_text(errors="replace") if log.exists() else ""
 
@@ -120,7 +120,7 @@ class Site:
             yield instance
 
     def rows(self, sql: str) -> list[tuple]:
-        """Answer of the database."""
+        """Query the database."""
         connection = psycopg2.connect(self.database)
         try:
             with connection, connection.cursor() as cursor:
@@ -130,7 +130,7 @@ class Site:
             connection.close()
 
     def forget(self) -> None:
-        """An empty fleet again; Dagster keeps its history."""
+        """Empty the fleet; Dagster keeps its history."""
         shutil.rmtree(self.root / "store", ignore_errors=True)
         for sealed in self.root.glob(f"*/{NAME}"):  # or the next night takes the store for damaged
             sealed.unlink()
@@ -173,7 +173,7 @@ def site(root: Path, landing: Path, postgres: str, broker: str, machines: tuple[
 
 
 def control(*words: str) -> None:
-    """Ask RabbitMQ's own tool."""
+    """Run `rabbitmqctl`."""
     subprocess.run(["rabbitmqctl", "--quiet", *words], check=True, capture_output=True, text=True)
 
 
@@ -185,7 +185,7 @@ def restart_broker() -> None:
 
 
 def wait(ready: Callable[[], bool], seconds: float, why: str) -> None:
-    """Until it is so."""
+    """Wait until a condition holds; raise TimeoutError after the limit."""
     deadline = time.monotonic() + seconds
     while not ready():
         if time.monotonic() > deadline:

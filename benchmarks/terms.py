@@ -1,4 +1,4 @@
-"""Does the missing-physics assistant find what is missing, and only that: `python -m benchmarks.terms [seeds ...]`.
+"""Sensitivity and specificity of the missing-physics assistant: `python -m benchmarks.terms [seeds ...]`.
 
 Whole nights over simulated fleets, each as it is and with water sprayed at the ram inlet, which the model lacks. Where
 a term is proposed it is accepted and the night made again. Printed: what is proposed; the residual from flight to
@@ -54,7 +54,7 @@ def errors(store: Store, truth: Path) -> tuple[float, float]:
 
 
 def night(folder: Path) -> tuple[Outcome, pl.DataFrame]:
-    """A night over what has landed: how it went, and what is proposed after it."""
+    """Run a night; return its outcome and the proposed terms."""
     home = folder / "home"
     nightly.run_night(folder / "landing", home, Silent())
     store = Store(home)
@@ -83,7 +83,7 @@ def fleet(seed: int, missing: dict[str, float]) -> list[Outcome]:
 
 
 def compare(seed: int) -> None:
-    """The same fleet as it is and with a term that the model lacks."""
+    """Compare a fleet as it is with one that has a term the model lacks."""
     floor, lacking = fleet(seed, {})[0], fleet(seed, {"water_spray": 0.2})
     before, after = lacking[0], lacking[-1]
     explained = 1.0 - np.sqrt(

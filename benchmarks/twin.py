@@ -20,7 +20,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.chain import admit_fleet
-from benchmarks.fleets import recorded_in_si
+from benchmarks.fleets import simulate_record
 from benchmarks.harness import put
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
@@ -29,7 +29,6 @@ from hdt_core.flight.windows import baseline_flights
 from hdt_core.records.keys import IN_ORDER
 from hdt_core.robust import Z_90, spread_expr
 from hdt_core.simulate.design import FleetSettings
-from hdt_core.simulate.fleet import simulate_fleet
 from hdt_core.tracking.track import track
 
 KEY = ["tail", "flight_id", "pack"]
@@ -59,16 +58,8 @@ class Fleet(NamedTuple):
 def fleets(seeds: range, size: FleetSettings) -> Iterator[Fleet]:
     """Calibrate, estimate and track each fleet as a night would."""
     for seed in seeds:
-        aircraft = list(simulate_fleet(seed, size))
-        snapshots = pl.concat(recorded_in_si(a.snapshots, a.operator, a.tail) for a in aircraft)
-        place = [(pl.lit(a.operator).alias("operator"), pl.lit(a.tail).alias("tail")) for a in aircraft]
-        maintenance, messages = (
-            pl.concat(
-                getattr(a, name).with_columns(*p, pl.col("pack").cast(pl.Int32))
-                for a, p in zip(aircraft, place, strict=True)
-            )
-            for name in ("maintenance", "messages")
-        )
+        record = simulate_record(seed, size)
+        snapshots, maintenance, messages = (record[name] for name in ("snapshots", "maintenance", "messages"))
         legs, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
         within = pl.col("flight_id").is_in(baseline_flights(legs))
         admitted = admit_fleet(legs.filter(within), samples.filter(within), maintenance.clear(), messages.clear())
@@ -77,7 +68,7 @@ def fleets(seeds: range, size: FleetSettings) -> Iterator[Fleet]:
         alone = estimate_flights(samples, model)
         health = track(alone, maintenance, model).health
         seconds = time.process_time() - start
-        truth = pl.concat(a.health for a in aircraft).with_columns(
+        truth = record["health"].with_columns(
             pl.col("pack").cast(pl.Int32), a=1.0 - pl.col("apparent_ua_ratio"), t=1.0 - pl.col("ua_ratio")
         )
         alone_loss = alone.select(*KEY, single=1.0 - (pl.col("ln_ua_ratio") - model.clean_level).exp())

@@ -12,7 +12,6 @@ from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import FEATURES, THERMAL, Panel, feature_rows, record_rows
-from hdt_core.prognosis.metrics import constant_interval_score, interval_score
 from hdt_core.prognosis.recalibrate import NOMINAL, Levels, learn_levels
 
 Array = NDArray[np.float64]
@@ -63,7 +62,7 @@ def history_features(loss: Array, unit: Index, cycle: Index, limit: float) -> Ar
 
 
 def foretell(teach: Rows, x: Array, level_rows: Index | None = None, seed: int = 0) -> Foretold:
-    """Remaining life of rows whose units teach nothing.
+    """Predict the remaining life of rows of units outside the training set.
 
     Each fold's rows are foretold by a model of the other folds, which gives the levels of the interval. The interval is
     that of one model of all folds: an average over models would be better than those that the levels were learned
@@ -119,8 +118,3 @@ def expected_left(by: Array, most: float) -> Array:
 def coverage(prediction: Foretold, left: Array) -> Array:
     """Whether each row's life lies in its interval; 1 and 0."""
     return ((prediction.low <= left) & (left <= prediction.high)).astype(float)
-
-
-def score_over_constant(prediction: Foretold, left: Array) -> float:
-    """Mean 90 % interval score over that of one interval for all rows, from their own quantiles."""
-    return float(interval_score(left, prediction.low, prediction.high).mean() / constant_interval_score(left))

@@ -1,4 +1,4 @@
-"""Normal behaviour of any set of sensors, and the product's own detector on what departs from it.
+"""Normal behaviour of a set of sensors, and the product's detector on departures from it.
 
 Each sensor is foretold from all others by their covariance on normal rows (shrunk, Ledoit and Wolf 2004); what is left,
 in standard deviations, goes to the CUSUM that watches a pack's witnesses.
@@ -31,7 +31,7 @@ class Normal:
     precision: Array
 
     def residuals(self, rows: Array) -> Array:
-        """Each sensor less what the others say of it, in standard deviations. NaN stays with its sensor."""
+        """Return each sensor minus its prediction from the others, in standard deviations; NaN stays NaN."""
         z = np.clip((rows - self.mean) / self.spread, -50.0, 50.0)
         own = np.sqrt(np.diag(self.precision))
         predicted = (np.nan_to_num(z) @ self.precision) / own
@@ -47,7 +47,7 @@ def learn(rows: Array) -> Normal:
 
 
 def alarms(train: Array, test: Array, settings: Cusum | None = None, tail: int = 1000) -> Flags:
-    """Rows of `test` on which a shift of some sensor is believed.
+    """Return the rows of `test` on which a sensor shift is detected.
 
     The detector learns offset and scatter on the last `tail` rows of `train`.
     """

@@ -1,4 +1,4 @@
-"""A recipe and what it found, as the page tells them."""
+"""Section of the page for a recipe and its result."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a recipe is: a data set, where to get it, what others reached on it, and what we reach."""
+"""Recipe of a data set: source, published results, and ours."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Score:
 
     @property
     def is_met(self) -> bool | None:
-        """Whether the value reaches its goal; None where none was set."""
+        """Return whether the value meets its goal; None where none is set."""
         words = self.goal.split()
         if not words:
             return None
@@ -39,7 +39,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a recipe found."""
+    """Result of a recipe."""
 
     scores: list[Score]
     draw: Callable[[Figure], None] | None = None
@@ -77,7 +77,7 @@ class Recipe:
     run: Callable[[Path], Result]
 
     def find_folder(self, data: Path) -> Path | None:
-        """Its folder below `data`; None where it is absent."""
+        """Find its folder below `data`; None where it is absent."""
         if not self.wants:
             return data / self.folder
         return next((p for p in sorted(data.glob(self.folder)) if any(p.glob(self.wants))), None)

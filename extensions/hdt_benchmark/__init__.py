@@ -1,1 +1,1 @@
-"""This installation against named peers that do the same work: the oscillator of the paper, fleets of exchangers."""
+"""Speed of this installation against named peers: the paper's oscillator, fleets of exchangers."""

@@ -13,12 +13,12 @@ from pipelines.cli.base import AsJson, app, out
 
 @app.command()
 def benchmark(
-    rounds: Annotated[int, typer.Option(min=1, help="Every candidate has this many turns.")] = 5,
+    rounds: Annotated[int, typer.Option(min=1, help="Number of rounds; every contestant runs once a round.")] = 5,
     as_json: AsJson = False,
 ) -> None:
-    """Race this installation against SciPy and filterpy.
+    """Compare the speed of this installation with SciPy and filterpy.
 
-    The same work for all, in turns, on one core: about ten seconds.
+    All contestants do the same work in turn on one core; takes about ten seconds.
     """
     from hdt_benchmark.peers import PACKAGES, installed
 

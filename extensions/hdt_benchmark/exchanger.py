@@ -1,4 +1,4 @@
-"""One number a flight from heat exchanger samples, for all flights at once.
+"""Batched fits of one parameter per flight to heat exchanger samples.
 
 Each flight is its own least-squares fit of the hot outlet temperature by one parameter: maximum likelihood and
 information, which is all that a later pass along the flights needs. Gauss-Newton from a closed-form start, so no flight
@@ -46,7 +46,7 @@ class ExchangerSamples:
     starts: npt.NDArray[np.int64]
 
     def columns(self) -> exchanger_arrays.Columns:
-        """Samples as contiguous float arrays, in the order the kernels take them."""
+        """Return the samples as contiguous float arrays in the kernels' order."""
         return (
             np.ascontiguousarray(self.hot_flow_kg_s, dtype=float),
             np.ascontiguousarray(self.ram_flow_kg_s, dtype=float),
@@ -86,13 +86,13 @@ class FlightFits:
 
     @property
     def sd(self) -> Array:
-        """Standard deviation; infinite where the flight says nothing."""
+        """Standard deviation; infinite where the flight holds no information."""
         with np.errstate(divide="ignore"):
             return 1.0 / np.sqrt(self.information)
 
     @property
     def status(self) -> npt.NDArray[np.str_]:
-        """How each fit ended."""
+        """Status of each fit."""
         return np.array(STATUS)[self.code]
 
 
@@ -145,7 +145,7 @@ def fit_lumped_resistance(samples: ExchangerSamples, path: Path | None = None) -
 
 
 def is_compiled(path: Path | None) -> bool:
-    """Whether this path runs compiled; by default wherever numba is installed."""
+    """Return whether to run compiled; the default where numba is installed."""
     if path == "compiled" and not COMPILED:
         raise RuntimeError("the compiled path needs numba")
     return COMPILED and path != "arrays"

@@ -70,7 +70,7 @@ def _lumped(theta: Array, rate: Array, base: Array) -> tuple[Array, Array]:
 
 
 def _fit(curve: Curve, samples: Columns, first: Array, second: Array, starts: Integers) -> Fit:
-    """Gauss-Newton on the effectiveness, whose residual times the span of the inlets is the temperature's."""
+    """Fit by Gauss-Newton on the effectiveness; its residual times the inlet span is that of the temperature."""
     _, _, hot_in, hot_out, cold_in, weight = samples
     n_flights = len(starts) - 1
     flight = np.repeat(np.arange(n_flights), np.diff(starts))

@@ -77,7 +77,7 @@ def _lumped_terms(hot_flow: Array, ram_flow: Array, flat: Array) -> None:
 
 @vectorised
 def _measured_terms(hot_in: Array, hot_out: Array, cold_in: Array, weight: Array, flat: Array) -> None:
-    """Effectiveness seen, and its weight: none where anything is missing or the sample says nothing."""
+    """Compute measured effectiveness and its weight; 0 where a value is missing or the sample uninformative."""
     first, second, effectiveness, heavy = flat[0], flat[1], flat[2], flat[3]
     for i in range(len(hot_in)):
         effectiveness[i] = (hot_in[i] - hot_out[i]) / (hot_in[i] - cold_in[i])
@@ -90,7 +90,7 @@ def _measured_terms(hot_in: Array, hot_out: Array, cold_in: Array, weight: Array
 
 @vectorised
 def _lay_down(flat: Array, begin: int, length: int, rows: int, lane: int, lanes: Array) -> tuple[int, float]:
-    """One flight down a lane; unusable samples and the padding weigh nothing.
+    """Copy one flight into a lane; unusable samples and padding get weight 0.
 
     Returns how many count, and what `sums_of_step` holds against `FEW_UNITS`.
     """
@@ -112,7 +112,7 @@ def _lay_down(flat: Array, begin: int, length: int, rows: int, lane: int, lanes:
 
 @vectorised
 def _middle(rows: int, lanes: Array, middle: Array) -> None:
-    """Each lane's weighted mean sample: the start comes from it."""
+    """Compute each lane's weighted mean sample, used for the start."""
     first, second, effectiveness, whole = middle[0, 0], middle[1, 0], middle[2, 0], middle[3, 0]
     middle[:] = 0.0
     for j in range(rows):

@@ -1,4 +1,4 @@
-"""H of equations (7)-(8) from a log at 1 Hz, dynamics and all: one number a flight.
+"""Dynamic fit of H of equations (7)-(8) to 1 Hz logs, one parameter per flight.
 
 Trapezoidal (Tustin) steps with the inputs held, which are stable for any mass, and the derivative by ln H carried along
 in the same recursion, so that a step of Gauss-Newton costs one pass over the log.
@@ -57,7 +57,7 @@ def fit_lumped_log(
 
 
 def _filled(samples: ExchangerSamples, fast: bool) -> Columns:
-    """Inputs held over their gaps within each flight; where there is nothing to hold or to compare, no weight."""
+    """Fill gaps of the inputs with the last value within each flight; samples without one get weight 0."""
     columns = samples.columns()
     if fast and exchanger_log_compiled.is_whole(columns):
         return columns

@@ -85,7 +85,7 @@ def _march(h_w_k: Array, inputs: Four, pace: tuple[float, float]) -> tuple[Array
 
 
 def steady(h_w_k: Array, hot_flow: Array, ram_flow: Array, hot_in: Array, cold_in: Array) -> Four:
-    """Outlets where nothing moves, and their derivatives by ln H."""
+    """Return steady outlets and their derivatives by ln H."""
     hot_rate, cold_rate = hot_flow * CP_HOT_J_KG_K, ram_flow * CP_COLD_J_KG_K
     both = hot_rate * cold_rate
     share = 1.0 / (both + h_w_k * (hot_rate + cold_rate))
@@ -95,12 +95,12 @@ def steady(h_w_k: Array, hot_flow: Array, ram_flow: Array, hot_in: Array, cold_i
 
 
 def mean_start(hot_flow: Array, ram_flow: Array, hot_in: Array, hot_out: Array, cold_in: Array) -> Array:
-    """ln H of the mean sample, in closed form."""
+    """Return ln H of the mean sample in closed form."""
     inverse = (hot_out - cold_in) / ((hot_in - hot_out) * hot_flow * CP_HOT_J_KG_K) - 1.0 / (ram_flow * CP_COLD_J_KG_K)
     return -np.log(np.minimum(np.maximum(inverse, 1.0 / MOST_H_W_K), 1.0 / LEAST_H_W_K))
 
 
 def take_step(theta: Array, step: Array) -> Array:
-    """One step on, not too far, within the bounds."""
+    """Apply a step, limited in length and to the bounds."""
     short = np.minimum(np.maximum(step, -LONGEST_STEP), LONGEST_STEP)
     return np.minimum(np.maximum(theta + short, np.log(LEAST_H_W_K)), np.log(MOST_H_W_K))

@@ -30,7 +30,7 @@ _fast_moved: Any = vectorised(take_step)
 
 @vectorised
 def is_whole(columns: Columns) -> bool:
-    """Whether every sample has everything."""
+    """Return whether no sample lacks a value."""
     hot_flow, ram_flow, hot_in, hot_out, cold_in, weight = columns
     bad = 0
     for k in range(len(hot_flow)):

@@ -1,5 +1,5 @@
-"""What the compiled exchanger fits compute of sixteen flights side by side, for the vector registers: the curve, its
-slope, and the sums of a Gauss-Newton step.
+"""Inner loops of the compiled exchanger fits over sixteen flights side by side, for the vector registers: the
+curve, its slope, and the sums of a Gauss-Newton step.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A known fault laid over recorded nominal legs: what the recorder would have written with it, and the truth.
+"""Injection of a known fault into recorded nominal legs, with the truth.
 
 Weather, sensors, load and controller are those of the record; only the fault is made (Pujana et al. 2023). The physics
 are the declared models', with whatever design the caller holds for the fleet's.
@@ -39,7 +39,7 @@ _FILMS = ("hx_exponent_hot", "hx_exponent_cold", "hx_hot_share", "hx_wall_share"
 
 @dataclass(frozen=True, slots=True)
 class Fouling:
-    """The exchanger loses this share of its conductance, evenly over so many flights, or at once: a clog.
+    """Loss of this share of the exchanger's conductance, linear over some flights or at once (a clog).
 
     `masked`: the controller opens the door as far as it must to hold the outlet it held. Otherwise the door stays where
     it was recorded, and the outlet shows all of the loss.
@@ -56,7 +56,7 @@ class Fouling:
 
 @dataclass(frozen=True, slots=True)
 class DoorLimit:
-    """The ram air door opens no further than `reach`. [-], 0 shut, 1 full open"""
+    """Ram air door limited to the opening `reach`. [-], 0 shut, 1 full open"""
 
     reach: float
 
@@ -67,7 +67,7 @@ class DoorLimit:
 
 @dataclass(frozen=True, slots=True)
 class SensorFault:
-    """A recorded column is wrong by `size` in its unit (a `drift` after 25 flights), stuck, or seven in ten gone."""
+    """Sensor fault of a column: offset or drift by `size` in its unit (after 25 flights), frozen, or 70 % missing."""
 
     column: str
     kind: Literal["drift", "step", "stuck", "dropout"]
@@ -83,7 +83,7 @@ Fault = Fouling | DoorLimit | SensorFault
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """Rows with the fault, and what is true of each flight of the pack.
+    """Rows with the fault, and the truth of each flight of the pack.
 
     `truth`: one row a flight in order, `flight_id`, `pack`, `since` (flights since the first faulty one, null before),
     `hx_fouling` (added to what the unit had), `ram_door_reach`, `sensor_fault` (a column, empty where none).
@@ -103,7 +103,7 @@ def inject(
     duct: PhysicsModel = TEXTBOOK_DUCT,
     exchanger: PhysicsModel = TEXTBOOK_EXCHANGER,
 ) -> Injection:
-    """Lay a fault over the flights of one pack, from `first_flight` on.
+    """Inject a fault into the flights of one pack from `first_flight` on.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def _loss(fault: Fault, since: NDArray[np.int_]) -> Array:
 def _physics_values(
     rows: pl.DataFrame, fault: Fouling | DoorLimit, since: NDArray[np.int_], duct: PhysicsModel, exchanger: PhysicsModel
 ) -> dict[str, Array]:
-    """Compute door, outlet and ram outlet: by the physics where there is a fault, else as recorded."""
+    """Compute door, outlet and ram outlet by the physics where the fault acts, else as recorded."""
     signals = {n: rows[n].cast(pl.Float64).to_numpy() for n in SENSORS if n in rows.columns}
     flow, hot_k = signals["pack_flow_lbpm"] * LB_PER_MIN, signals["hx_in_degc"] + ZERO_C
     out_k, cold_k = signals["hx_out_degc"] + ZERO_C, signals["tat_degc"] + ZERO_C

@@ -1,4 +1,4 @@
-"""The benchmark of section 3.2.2 as a problem: one record of the spring-mass-damper with noise, one wrong guess."""
+"""Benchmark problem of section 3.2.2: one noisy record of the spring-mass-damper and one wrong initial guess."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What this installation does against named peers that do the same work, in one run.
+"""Comparisons of this installation with named peers on the same work.
 
 The peers are written as their users write them: the oscillator's Euler loop in plain floats for SciPy, the filter of
 filterpy stepped in a Python loop, SciPy's Levenberg-Marquardt a flight a call.
@@ -25,7 +25,7 @@ SCIPY, NUMPY = "SciPy lm, vectorised model, a flight a call", "batched, NumPy pa
 
 
 def installed(rounds: int = 5, records: int = 2, n_flights: int = 4000) -> list[Claim]:
-    """Small races that end in seconds: a fit, a filter, a fleet of exchangers."""
+    """Run short comparisons: a fit, a filter, a fleet of exchangers."""
     return [fit_claim(rounds, records), filter_claim(rounds, records), conductance_claim(rounds, n_flights)]
 
 

@@ -1,4 +1,4 @@
-"""Candidates that do the same work in turn, and the table that comes of it."""
+"""Timing of contestants that do the same work in turn, and the table of results."""
 
 import platform
 import time
@@ -16,7 +16,7 @@ UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"))
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One way to do `count` pieces of the work; `run` gives its answers."""
+    """Contestant that does `count` pieces of the work; `run` returns its answers."""
 
     run: Callable[[], np.ndarray]
     count: int = 1
@@ -45,16 +45,16 @@ class Claim:
 
     @property
     def ours_s(self) -> float:
-        """Our own time."""
+        """Return our own time. [s]"""
         return next(iter(self.seconds.values()))
 
     @property
     def ratios(self) -> dict[str, float]:
-        """How many times longer each peer takes."""
+        """Return each peer's time over ours."""
         return {peer: peer_s / self.ours_s for peer, peer_s in list(self.seconds.items())[1:]}
 
     def rows(self) -> list[str]:
-        """Lines of the table."""
+        """Return the lines of the table."""
         lines = []
         for place, (name, seconds) in enumerate(self.seconds.items()):
             ratio = times(self.ratios[name]) if place else "-"
@@ -75,7 +75,7 @@ def race(
     goals: Mapping[str, float] | None = None,
     per_second: float | None = None,
 ) -> Claim:
-    """Everyone once a round, ours first, `rounds` times after one to compile and warm up; medians over the rounds."""
+    """Run every contestant once a round, ours first, after one warm-up round; return medians over the rounds."""
     durations: dict[str, list[float]] = {name: [] for name in candidates}
     answers: dict[str, np.ndarray] = {}
     with threadpool_limits(1):
@@ -92,30 +92,30 @@ def race(
 
 
 def table(claims: Sequence[Claim], packages: Sequence[str]) -> str:
-    """Markdown of all claims, and under it the machine and the peers' versions."""
+    """Return Markdown of all claims, followed by machine and versions."""
     columns = ("work", "who", "time", "per second", "ratio", "goal", "answers apart")
     head = ["| " + " | ".join(columns) + " |", "| --- | --- |" + " ---: |" * (len(columns) - 2)]
     return "\n".join([*head, *(row for claim in claims for row in claim.rows()), "", machine(packages)])
 
 
 def machine(packages: Sequence[str]) -> str:
-    """What it ran on, in a line."""
+    """Describe the machine in one line."""
     versions = ", ".join(f"{name} {_version(name)}" for name in packages)
     return f"{_processor()}, {cpu_count()} cores, one used; Python {platform.python_version()}, {versions}."
 
 
 def _apart(ours: np.ndarray, other: np.ndarray) -> float:
-    """Of as many answers as the other has: a slow peer does the first few pieces only."""
+    """Return the largest difference over the answers both have; a slow peer does only the first pieces."""
     return float(np.abs(ours[: len(other)] - other[: len(ours)]).max())
 
 
 def times(ratio: float) -> str:
-    """How many times, as it is read."""
+    """Format a ratio."""
     return f"{ratio:,.0f} x" if ratio >= 10.0 else f"{ratio:.1f} x"
 
 
 def clock(seconds: float) -> str:
-    """A time in the unit that suits it."""
+    """Format a time in a suitable unit."""
     size, unit = next((u for u in UNITS if seconds >= u[0]), UNITS[-1])
     return f"{seconds / size:.3g} {unit}"
 

@@ -42,7 +42,7 @@ class DifferentialEvolution:
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Fittest individual; covariance from the information at that point."""
+        """Return the fittest individual; covariance from the information at that point."""
         lower, upper = problem.search_box
         free = upper > lower
         if not free.any():
@@ -71,7 +71,7 @@ class DifferentialEvolution:
 
 
 def fitness(problem: Problem, free: npt.NDArray[np.bool_], rows: Array) -> Array:
-    """Objective of individuals (p, free parameters), the held ones in their place: (p,), finite."""
+    """Return the finite objective (p,) of individuals (p, free parameters), fixed parameters inserted."""
     thetas = np.repeat(problem.origin[None], len(rows), axis=0)
     thetas[:, free] = rows
     return np.minimum(problem.objective(thetas), NO_ANSWER)

@@ -36,7 +36,7 @@ class SwarmKalman:
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Belief about the parameters after the last sample; the path is linearised with the whole record in view."""
+        """Return the belief after the last sample, linearised about the best particle's trajectory."""
         swarm = swarm_search(
             problem, np.random.default_rng(self.seed), n_particles=self.n_particles, n_iterations=self.n_iterations
         )

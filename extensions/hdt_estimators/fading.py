@@ -1,4 +1,4 @@
-"""The recursion of filters that forget: a gain from a faded covariance, a statement from an honest one."""
+"""Recursion of fading-memory filters: gain from a faded covariance, stated covariance by Joseph's form."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Factor = Callable[[Correction, Belief], float]
 def fading_estimate(
     problem: Problem, factor: Callable[[], Factor], *, method: str, own_objective: bool, passes: int
 ) -> Estimate:
-    """Extended Kalman filter whose predicted covariance is multiplied by a factor before each sample.
+    """Run an extended Kalman filter with its predicted covariance inflated by a factor before each sample.
 
     Two covariances run along. The faded one sets the gain. It overstates the error, since what is forgotten was not
     wrong; so a second one follows the error that this gain really leaves, by Joseph's form, which holds for any
@@ -127,14 +127,14 @@ def _pass(problem: Problem, factor: Factor, about: list[Belief] | None, centre: 
 
 
 def _headroom(belief: Belief, ceiling: Array) -> float:
-    """How far a covariance may be faded before it winds up: to forget everything is to believe the prior, no less."""
+    """Return the largest fading factor that keeps the covariance below the prior's."""
     variance = belief.cov.diagonal()[-ceiling.size :]
     free = variance > 0.0
     return float((ceiling[free] / variance[free]).min()) if free.any() else 1.0
 
 
 def windowed_change(path: Array, sd: Array, window: int) -> tuple[Array, Array]:
-    """Mean and variance of the last `window` rows of `path` (k, n), each known to sd (k, n): (k, n) each."""
+    """Return mean and variance (k, n) of the last `window` rows of `path` (k, n) with sd (k, n)."""
     means, variances = np.empty_like(path), np.empty_like(path)
     for i in range(len(path)):
         recent = path[max(0, i + 1 - window) : i + 1]

@@ -52,7 +52,7 @@ class Genetic:
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Fittest individual; covariance from the information at that point."""
+        """Return the fittest individual; covariance from the information at that point."""
         if find_spec("deap") is None:
             method = f"{self.name}: differential evolution, DEAP is not installed"
             stand_in = DifferentialEvolution(
@@ -80,7 +80,7 @@ class Genetic:
     def _evolved(
         self, problem: Problem, free: npt.NDArray[np.bool_], lower: Array, upper: Array
     ) -> tuple[Array, float, int, bool]:
-        """Fittest individual (free parameters,), its objective, passes over the record, whether all agree."""
+        """Return the fittest individual (free parameters,), its objective, evaluations and convergence."""
         from deap import algorithms, base, tools
 
         class Fitness(base.Fitness):  # type: ignore[misc]

@@ -1,4 +1,4 @@
-"""Gradient descent with Barzilai and Borwein's step: the slowest road to the least squares, and the simplest."""
+"""Gradient descent with Barzilai and Borwein's step size."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MEMORY = 8
 
 @dataclass(frozen=True, slots=True)
 class GradientDescent:
-    """Descend the objective in coordinates scaled once, at the start; steps that do not pay are halved.
+    """Descend the objective in coordinates scaled once at the start; halve steps that do not reduce it.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class GradientDescent:
     max_steps: int = 500
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Lowest point reached; covariance from the information at that point."""
+        """Return the lowest point reached; covariance from the information at that point."""
         first = float(problem.objective(problem.origin[None])[0])
         if not np.isfinite(first):
             return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
@@ -71,6 +71,6 @@ def _descend(
 
 
 def _scale(at: Point) -> Array:
-    """Every parameter's standard deviation if all others were known, (n,)."""
+    """Return each parameter's conditional standard deviation given all others, (n,)."""
     curvature = at.normal.diagonal()
     return np.asarray(1.0 / np.sqrt(np.where(curvature > 0.0, curvature, 1.0)))

@@ -114,8 +114,8 @@ class ParticleFilter:
 
 
 def _draw_prior(problem: Problem, n: int, rng: np.random.Generator) -> Array:
-    """Particles (n, parameters) from the prior inside the bounds; evenly over the box where the prior knows
-    nothing."""
+    """Draw particles (n, parameters) from the prior inside the bounds; uniformly over the box where it is
+    uninformative."""
     lower, upper = problem.search_box
     cloud = lower + (upper - lower) * rng.random((n, lower.size))
     has_prior = np.isfinite(problem.prior.sd)
@@ -134,7 +134,7 @@ def _draw_prior(problem: Problem, n: int, rng: np.random.Generator) -> Array:
 def _move_particles(
     problem: Problem, cloud: Array, misfit: Array, spread: Array, *, i: int, rng: np.random.Generator
 ) -> tuple[Array, Array, float]:
-    """One Metropolis step of every particle towards the posterior of samples 0 to i; share that moved."""
+    """Move every particle by a Metropolis step for the posterior of samples 0 to i; return the acceptance rate."""
     n = cloud.shape[1]
     root = upper_root(spread)
     proposed = cloud + 2.38 / np.sqrt(n) * rng.standard_normal(cloud.shape) @ root
@@ -151,7 +151,7 @@ def _move_particles(
 
 
 def _misfit(problem: Problem, cloud: Array) -> Array:
-    """Squared normalised residual of every particle and sample, (p, k)."""
+    """Return squared normalised residuals of every particle and sample, (p, k)."""
     residual = problem.residual(cloud)
     squares: Array = np.einsum("pkm,pkm->pk", residual, residual)
     return np.minimum(squares, NO_ANSWER)
@@ -163,7 +163,7 @@ def _log_prior(problem: Problem, cloud: Array) -> Array:
 
 
 def _inside(problem: Problem, cloud: Array) -> Array:
-    """Reflect at the bounds: a wall that does not gather particles."""
+    """Reflect particles at the bounds, so that none accumulate there."""
     lower, upper = problem.bounds.T
     cloud = np.where(cloud < lower, 2.0 * lower - cloud, cloud)
     return np.clip(np.where(cloud > upper, 2.0 * upper - cloud, cloud), lower, upper)
@@ -174,7 +174,7 @@ def _noise(sd: Array | None, shape: tuple[int, ...], rng: np.random.Generator) -
 
 
 def _spread(cloud: Array, weight: Array) -> Array:
-    """Covariance (n, n) of a weighted cloud; of one particle that has all the weight, none."""
+    """Return the covariance (n, n) of a weighted cloud; zero where one particle has all the weight."""
     away = cloud - weight @ cloud
     return np.asarray((weight * away.T) @ away / max(1.0 - float(weight @ weight), 1.0 / weight.size))
 
@@ -185,6 +185,6 @@ def _normalised(log_weight: Array) -> Array:
 
 
 def _resampled(weight: Array, rng: np.random.Generator) -> Array:
-    """Systematic resampling: indices of the particles that stay."""
+    """Resample systematically; return the indices of the surviving particles."""
     ticks = (rng.random() + np.arange(weight.size)) / weight.size
     return np.minimum(np.searchsorted(np.cumsum(weight), ticks), weight.size - 1)

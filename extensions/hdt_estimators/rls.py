@@ -40,7 +40,7 @@ class RecursiveLeastSquares:
     passes: int = 20
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Estimate after the last sample, path of all."""
+        """Return the estimate after the last sample and the path of all."""
 
         def factor() -> Factor:
             return lambda _correction, _belief: 1.0 / self.forgetting

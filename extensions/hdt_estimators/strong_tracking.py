@@ -1,4 +1,4 @@
-"""Strong tracking filter, and the modified Bayes classification that reads a fault from its path."""
+"""Strong tracking filter, and modified Bayes classification of faults from its path."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hdt_estimators.fading import Factor, fading_estimate, windowed_change
 
 @dataclass(frozen=True, slots=True)
 class StrongTracking:
-    r"""Extended Kalman filter that opens its gain when innovations grow larger than they should be.
+    r"""Extended Kalman filter that raises its gain when innovations exceed their expected size.
 
     .. math:: \lambda_i = \max\left(1, \frac{\mathrm{tr}(V_i - \beta R)}{\mathrm{tr}(H P H^T)}\right)
 
@@ -44,7 +44,7 @@ class StrongTracking:
     passes: int = 20
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Estimate after the last sample, path of all."""
+        """Return the estimate after the last sample and the path of all."""
 
         def new_factor() -> Factor:
             running: list[float] = []
@@ -65,13 +65,13 @@ class StrongTracking:
 
 @dataclass(frozen=True, slots=True)
 class Classification:
-    """Which parameters have left their nominal values: probability (k, n) after each sample."""
+    """Probability (k, n), after each sample, that a parameter has left its nominal value."""
 
     names: tuple[str, ...]
     probability: Array
 
     def first(self, level: float = 0.95) -> dict[str, int | None]:
-        """Sample at which each parameter's probability first passed `level`; None where it never did."""
+        """Return the sample at which each parameter's probability first exceeded `level`; None where it never did."""
         passed = self.probability > level
         hits = [int(np.argmax(column)) if column.any() else None for column in passed.T]
         return dict(zip(self.names, hits, strict=True))
@@ -80,7 +80,7 @@ class Classification:
 def classify(
     names: tuple[str, ...], estimate: Estimate, nominal: Belief, *, window: int = 30, prior_probability: float = 0.01
 ) -> Classification:
-    r"""Two classes for every parameter, nominal or shifted, from the last `window` estimates of a path.
+    r"""Classify every parameter as nominal or shifted from the last `window` estimates of a path.
 
     The windowed estimates are summed up as N(m, s2), where s2 counts the filter's own variance. Nominal is N(m0,
     s02) widened by the same variance; shifted is N(m, s2) itself. The Bayes factor of a window that is worth one

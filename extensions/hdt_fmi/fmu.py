@@ -85,7 +85,7 @@ def fmu_model(
 
 
 class _Points:
-    """The FMU, set to whatever point is asked for."""
+    """Evaluate an FMU at arbitrary points."""
 
     def __init__(self, unit: FmuUnit) -> None:
         self.unit = unit
@@ -99,7 +99,7 @@ class _Points:
     def evaluate(
         self, at: Mapping[str, ArrayLike], params: Sequence[str], states: Sequence[ArrayLike], outputs: list[str] | None
     ) -> tuple[Array, ...]:
-        """Outputs, or the rates where none are named, broadcast over everything given."""
+        """Return outputs, or rates where no output is named, broadcast over all arguments."""
         names = [n for n in at if n not in params]
         rows = np.broadcast_arrays(*(np.asarray(v, float) for v in (*(at[n] for n in (*params, *names)), *states)))
         shape, points = rows[0].shape, np.stack([r.ravel() for r in rows], axis=1)

@@ -79,7 +79,7 @@ def fmu_over_time(
 
 
 class _Run:
-    """Runs of one instance, anew for every set of parameters."""
+    """Run one instance, restarted for each parameter set."""
 
     def __init__(self, unit: FmuUnit, params: list[int], outputs: list[str]) -> None:
         from fmpy.sundials import CVodeSolver  # with the extra `fmi` only
@@ -89,7 +89,7 @@ class _Run:
         self._refusal: Exception | None = None
 
     def evaluate(self, params: Sequence[Any], time_s: Any) -> tuple[Array, ...]:
-        """Outputs at every set of parameters and instant, broadcast."""
+        """Return outputs at every parameter set and instant, broadcast."""
         rows = np.broadcast_arrays(*(np.asarray(v, float) for v in (*params, time_s)))
         shape, points = rows[0].shape, np.stack([r.ravel() for r in rows], axis=1)
         results = np.full((len(points), len(self._outputs)), np.nan)
@@ -102,7 +102,7 @@ class _Run:
         return tuple(results.T.reshape(-1, *shape))
 
     def _run(self, values: list[float], instants: Array) -> Array:
-        """Outputs at these instants, (k, outputs); NaN from where the run ends."""
+        """Return outputs at these instants, (k, outputs); NaN after the run ends."""
         results = np.full((len(instants), len(self._outputs)), np.nan)
         try:
             due_s = self.unit.begin(self._params, values)
@@ -142,7 +142,7 @@ class _Run:
         )
 
     def _guarded(self, call: Callable[..., object]) -> Callable[..., None]:
-        """The call, whose refusal is kept: it comes out of C, through which no exception passes."""
+        """Wrap a callback: exceptions cannot pass through C, so store them for the caller."""
 
         def wrapper(*arguments: Any) -> None:
             try:
@@ -154,14 +154,14 @@ class _Run:
 
 
 class _Journey:
-    """One run on its way: where it is, and when the next event is due by the clock."""
+    """State of a running simulation: its time and its next time event."""
 
     def __init__(self, unit: FmuUnit, solver: Any, due_s: float) -> None:
         self.unit, self._solver = unit, solver
         self._now_s, self._due_s, self._events = 0.0, due_s, 0
 
     def reach(self, instant_s: float) -> bool:
-        """Step there through every event on the way. False where the run has ended before."""
+        """Advance to an instant through all events; False where the run ended earlier."""
         while self._events <= MOST_EVENTS and not np.isnan(self._due_s):
             soon_s = self._now_s + SAME_TIME * max(1.0, self._now_s)
             if self._due_s <= soon_s:

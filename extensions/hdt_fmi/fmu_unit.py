@@ -1,4 +1,4 @@
-"""An FMU opened: what it declares, and one instance of it, run by fmpy (the extra `fmi`)."""
+"""Model description and one instance of an FMU, run by fmpy (the extra `fmi`)."""
 
 import re
 import shutil
@@ -17,7 +17,7 @@ FATAL = 4
 
 
 class FmuUnit:
-    """An instance of an FMU for model exchange; its folder goes with it.
+    """Instance of an FMU for model exchange; its unpacked folder is deleted with it.
 
     Parameters
     ----------
@@ -56,15 +56,15 @@ class FmuUnit:
         self._state_names = [d.variable.derivative.name for d in self.description.derivatives]
 
     def theirs(self, name: str) -> str:
-        """Return the FMU's name of a declared one."""
+        """Return the FMU's name for a declared name."""
         return self._names.get(name, name)
 
     def reference(self, name: str) -> int:
-        """Return the FMU's number of a declared variable."""
+        """Return the FMU's value reference of a declared variable."""
         return int(self.variables[self.theirs(name)].valueReference)
 
     def states(self) -> tuple[State, ...]:
-        """States in the FMU's order, under names that Python takes, with the values it starts from."""
+        """Return states in the FMU's order, with valid Python names and initial values."""
         self.begin([], ())
         initial = (c_double * len(self._state_names))()
         if self._state_names:
@@ -78,7 +78,7 @@ class FmuUnit:
     def check(
         self, declared: Sequence[Signal | Param], causalities: tuple[str, ...], types: tuple[str, ...] = ("Real",)
     ) -> None:
-        """Raise ValueError where a declared name is none of the FMU's variables of this kind, or in another unit."""
+        """Raise ValueError where a declared name is not such a variable of the FMU or has another unit."""
         fit = {n: v for n, v in self.variables.items() if v.causality in causalities and v.type in types}
         for item in declared:
             variable = fit.get(self.theirs(item.name))
@@ -89,7 +89,7 @@ class FmuUnit:
                 raise ValueError(f"{self.path}: {item.name} is in {variable.unit}, declared in {item.unit}")
 
     def begin(self, references: Sequence[int], values: Sequence[float]) -> float:
-        """Start anew at time 0 with these parameters: fixed ones may only be set before initialisation.
+        """Restart at time 0 with these parameters; fixed ones can be set only before initialisation.
 
         Returns
         -------
@@ -105,7 +105,7 @@ class FmuUnit:
         return self.settle()
 
     def settle(self) -> float:
-        """Let an event have its effects, in event mode, and go on in continuous time.
+        """Process an event in event mode and return to continuous time.
 
         Returns
         -------
@@ -121,13 +121,13 @@ class FmuUnit:
 
 
 def lossless(values: Mapping[str, Any], losses: Mapping[str, str]) -> dict[str, Array]:
-    """Parameters as an FMU knows them, which has no losses: each less the share that its loss takes."""
+    """Convert parameters for an FMU without losses: reduce each by the share its loss takes."""
     remaining = {of: values[of] * (1.0 - values[loss]) for loss, of in losses.items()}
     return {name: remaining.get(name, value) for name, value in values.items() if name not in losses}
 
 
 def check_losses(losses: Mapping[str, str], params: Sequence[Param]) -> None:
-    """Raise ValueError where a loss, or what it is a loss of, is no declared parameter."""
+    """Raise ValueError where a loss or its target is not a declared parameter."""
     astray = sorted({*losses, *losses.values()} - {p.name for p in params})
     if astray:
         raise ValueError(f"losses name {', '.join(astray)}, declared as no parameter")
@@ -146,7 +146,7 @@ def _fmpy() -> ModuleType:
 
 
 def _described(fmpy: ModuleType, path: Path) -> Any:
-    """Model description of an FMU of the kind that serves.
+    """Read the model description; raise ValueError for unsupported FMUs.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Components joined by named ports into one model with the same kind of declaration."""
+"""Composition of components by named ports into one declared model."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal

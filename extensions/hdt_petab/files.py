@@ -33,7 +33,7 @@ def write_petab(
     prior: Belief | None = None,
     dt_s: float = 1.0,
 ) -> Path:
-    """Write what `declared_problem` is asked as a PEtab problem; the arguments are the same.
+    """Write the problem that `declared_problem` builds from these arguments as PEtab files.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def _libsbml() -> Any:
 
 
 def _sbml(model: PhysicsModel, free: Sequence[str]) -> str:
-    """SBML with inputs, free parameters, and states under rate rules."""
+    """Return SBML with inputs, free parameters, and states under rate rules."""
     libsbml = _libsbml()
     document = libsbml.SBMLDocument(3, 1)
     sbml = document.createModel()

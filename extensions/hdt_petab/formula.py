@@ -1,4 +1,4 @@
-"""The equations of a declared model as text: they are called once with symbols in place of arrays."""
+"""Equations of a declared model as text, traced by one call with symbols in place of arrays."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -38,7 +38,7 @@ WORDS: Mapping[str, str] = {
 
 
 class Formula(np.lib.mixins.NDArrayOperatorsMixin):
-    """A quantity written down: arithmetic and NumPy's functions on it give longer formulas.
+    """Symbolic quantity; arithmetic and NumPy functions on it build formulas.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class Formula(np.lib.mixins.NDArrayOperatorsMixin):
         raise TypeError("the equations branch on a value, which no formula can")
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **more: Any) -> "Formula":
-        """Write the function down.
+        """Append a NumPy function to the formula.
 
         Raises
         ------
@@ -69,7 +69,7 @@ class Formula(np.lib.mixins.NDArrayOperatorsMixin):
         return Formula(WORDS[function.__name__].format(*map(_text, inputs)))
 
     def __array_function__(self, function: Callable[..., Any], _types: Any, arguments: Any, _more: Any) -> "Formula":
-        """Write `np.where` down, the only choice there is.
+        """Append `np.where`, the only supported branch.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class Formula(np.lib.mixins.NDArrayOperatorsMixin):
 
 
 def formulas(function: Callable[..., Any], names: Sequence[str], fixed: Mapping[str, float]) -> tuple[str, ...]:
-    """Formulas of what `function` returns, in `names`, the values of `fixed` written as numbers.
+    """Return formulas of a function's results in `names`, with the values of `fixed` inserted.
 
     Raises
     ------
