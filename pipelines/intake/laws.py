@@ -45,10 +45,6 @@ def _at_work(s: Signals, value: Array) -> Array:
     return np.where(s["cc_out_pa"] > MIN_PRESSURE_RATIO * s["cc_in_pa"], value, np.nan)
 
 
-def _inlet(s: Signals) -> tuple[Array, Array]:
-    return s["cc_in_pa"], s["cc_in_k"]
-
-
 def _diameter_m(s: Signals) -> Array:
     return _at_work(s, effective_diameter_m(s["cc_in_pa"], s["cc_out_pa"], s["cc_in_k"], s["cc_speed_rad_s"]))
 
@@ -58,7 +54,7 @@ def _efficiency(s: Signals) -> Array:
 
 
 def _group_m3(flow: str) -> Callable[[Signals], Array]:
-    return lambda s: _at_work(s, area_diameter_tan_beta_m3(s[flow], *_inlet(s), s["cc_speed_rad_s"]))
+    return lambda s: _at_work(s, area_diameter_tan_beta_m3(s[flow], s["cc_in_pa"], s["cc_in_k"], s["cc_speed_rad_s"]))
 
 
 def _flow_ratio(s: Signals) -> Array:

@@ -54,7 +54,8 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     own_files = [*case_files(CaseLog(ledger.home).entries()), *_settings(ledger.home, records)]
     rows += [r for r in own_files if r[0] not in records or records[r[0]].digest != r[6]]
     final = (f for f in listing.files if f.touched_ns < began_ns - TICK_NS)  # when a night reads them
-    touch_times = [(f.path, f.touched_ns) for f in final if _touched_ns(f, records) != f.touched_ns]
+    recorded_ns = {path: record.touched_ns for path, record in records.items()}
+    touch_times = [(f.path, f.touched_ns) for f in final if recorded_ns.get(f.path) != f.touched_ns]
     if rows or touch_times:
         ledger.register(rows, flights, touch_times)
     new_paths = frozenset(f.path for f in new)
@@ -105,10 +106,6 @@ def _is_new(file: LandingFile, record: FileRecord | None, last_scan_ns: int) -> 
         return True
     later = file.touched_ns > last_scan_ns if record.touched_ns is None else file.touched_ns != record.touched_ns
     return later and _digest(file) != record.digest
-
-
-def _touched_ns(file: LandingFile, records: Records) -> int | None:
-    return records[file.path].touched_ns if file.path in records else None
 
 
 def _last_scan_ns(ledger: Ledger) -> int:

@@ -43,23 +43,19 @@ def steps(stages: Iterable[Stage]) -> list[Step]:
     """
     remaining, ordered_steps = list(stages), list[Step]()
     while remaining:
-        last_stages = _last_run(remaining)
-        remaining = [stage for stage in remaining if stage not in last_stages]
-        ordered_steps.insert(0, Step(tuple(last_stages)))
+        last = list[Stage]()
+        while leaves := [s for s in _leaf_stages(remaining) if not last or _kind(s) == _kind(last[0])]:
+            remaining.remove(leaves[-1])
+            last.insert(0, leaves[-1])
+        if not last:
+            raise ValueError(f"stages form a cycle: {', '.join(s.name for s in remaining)}")
+        ordered_steps.insert(0, Step(tuple(last)))
     return ordered_steps
 
 
-def _last_run(stages: Sequence[Stage]) -> list[Stage]:
-    """Return stages of one grain and road, in order, that may all run after the others."""
-    remaining, last = list(stages), list[Stage]()
-    while free := [
-        s for s in _leaf_stages(remaining) if not last or (s.grain, s.road) == (last[0].grain, last[0].road)
-    ]:
-        remaining.remove(free[-1])
-        last.insert(0, free[-1])
-    if not last:
-        raise ValueError(f"stages form a cycle: {', '.join(s.name for s in stages)}")
-    return last
+def _kind(stage: Stage) -> tuple[str, str]:
+    """Return what all stages of a run share."""
+    return stage.grain, stage.road
 
 
 def _leaf_stages(stages: Sequence[Stage]) -> list[Stage]:
