@@ -1,39 +1,53 @@
-"""Physics-informed neural network: a small net for the trajectory, trained with the parameters."""
+"""Physics-informed neural network: a net for the trajectory, trained with the parameters and terms physics lacks."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations, combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
 
 from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.damped import FIRST_DAMPING
-from hdt_core.estimation.estimate import Estimate
+from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.problem import Array, Observe, Problem, Sample
 
-STILL_SD = 3e-4  # of its standard deviation: a parameter that a step moves by less has settled
-STILL_STEPS = 3  # in a row; the net's own weights may still change, they are not reported
+STILL_COST = 0.02  # of the loss, in squared standard deviations: a step that lowers it by less has settled
+STILL_STEPS = 3  # in a row
+TERM_SD = 1.0  # of a missing term's coefficient, in typical changes of the state: as large as the physics itself
+MOST_TERMS = 2  # missing at once
+DOUBT = 1.0 / 3.0  # probability of the less likely: above it the record leaves open whether the physics is complete
 
 
-class _Scale(NamedTuple):
-    """Time of every sample from 0 to 1 (k,), and typical size and change per sample of every state, (s,) each."""
+class _Layout(NamedTuple):
+    """Time of every sample from 0 to 1 (k,), typical size and change per sample of every state, (s,) each, hidden units
+    of the net, and exponents of the states in each product that a rate may lack (products, s)."""
 
     time: Array
     size: Array
     change: Array
+    width: int
+    exponents: Array
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicsInformedNet:
-    r"""Train a net x(t) and the parameters on one loss, on the CPU, in NumPy.
+    r"""Train a net x(t), the parameters and terms that the physics lacks on one loss, on the CPU, in NumPy.
 
     .. math:: L = \sum_i \left|\frac{h(\hat x_i, \theta) - y_i}{\sigma}\right|^2
-              + \sum_i \left|\frac{\hat x_{i+1} - f(\hat x_i, \theta)}{\rho\, d}\right|^2 + \text{start} + \text{prior}
+              + \sum_i \left|\frac{\hat x_{i+1} - f(\hat x_i, \theta) - d\,W \phi(\hat x_i)}{\rho\, d}\right|^2
+              + \left|\frac{W}{\tau}\right|^2 + \text{start} + \text{prior}
 
-    where d is the typical change of a state per sample. The physics' weight grows in stages as :math:`\rho` falls:
-    first the net learns the record, then the record's physics. Since the loss is a sum of squares, training is
-    Levenberg and Marquardt's on all weights, which needs tens of steps where a first-order optimiser needs thousands.
+    where d is the typical change of a state per sample and :math:`\phi` the products of two and three states: what the
+    declared rates may lack. A constant or linear term is not among them, for the declared parameters stand for these.
+    The physics' weight grows in stages as :math:`\rho` falls: first the net learns the record, then the record's
+    physics. Training is Levenberg and Marquardt's on all weights.
+
+    The posterior about the trained weights gives the probability of every model with none, one or two missing terms
+    (Savage and Dickey's density ratio), and the estimate averages over them: its deviations include the doubt about the
+    physics. Where a term is missing with a probability above one third, `Estimate.method` names the likeliest one; up
+    to two thirds the record leaves open whether the physics is complete, and the status is `weakly_identifiable`.
 
     A problem without states has no differential equation and nothing for a net to represent: there the loss is least
     squares, and so is this method. `Estimate.method` reports it.
@@ -45,23 +59,18 @@ class PhysicsInformedNet:
     stages : tuple of float
         Values of rho.
     max_steps : int
-        Training steps of each stage.
+        Training steps of each stage; a net that has not settled by then is `max_steps`.
     polish : bool
-        Finish with least squares on the equations themselves, which takes away the bias of the order of rho.
+        Finish with least squares on the declared equations where no term is missing, which takes away the bias of the
+        order of rho; the deviations stay those of the average.
     seed : int
-
-    Notes
-    -----
-    Training ends when the parameters settle, three steps in a row that move each by less than 0.0003 of its
-    standard deviation. The net still changes for hundreds of steps, which would move them by another 0.03.
-
-    Deterministic equations leave a net no freedom, so its remaining misfit of the physics, which it cannot help,
-    shows as a bias of the parameters of the order of rho. The covariance stated is that of the loss: it takes rho
-    for process noise.
 
     References
     ----------
     .. [1] M. Raissi, P. Perdikaris and G. Karniadakis, Physics-informed neural networks, J. Comput. Phys. 378, 2019.
+    .. [2] Z. Chen, Y. Liu and H. Sun, Physics-informed learning of governing equations from scarce data, Nature
+       Communications 12, 2021.
+    .. [3] J. Dickey, The weighted likelihood ratio, Annals of Mathematical Statistics 42, 1971.
     """
 
     name: str = "pinn"
@@ -72,27 +81,107 @@ class PhysicsInformedNet:
     seed: int = 0
 
     def estimate(self, problem: Problem) -> Estimate:
-        """Train the net and the parameters; return the parameters."""
+        """Train the net, the parameters and the missing terms; return the parameters."""
         if problem.transition is None:
             return settle(problem, problem.origin, 0, method=f"{self.name}: least squares, no dynamics")
         guess = _simulate_states(problem)
         if not np.isfinite(guess).all():
             return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
-        scale = _Scale(
-            np.linspace(0.0, 1.0, len(guess)),
-            np.maximum(np.abs(guess).max(axis=0), 1e-9),
-            np.maximum(np.abs(np.diff(guess, axis=0)).mean(axis=0), 1e-12),
-        )
-        first = _first_weights(self.width, guess, scale, np.random.default_rng(self.seed))
-        vector = np.concatenate([first, problem.origin])
-        steps, normal = 0, np.eye(vector.size)
+        layout = _lay_out(guess, self.width)
+        first = _first_weights(layout, guess, np.random.default_rng(self.seed))
+        n_terms, n = layout.size.size * len(layout.exponents), problem.prior.mean.size
+        vector = np.concatenate([first, np.zeros(n_terms), problem.origin])
+        n_evals, steps, normal = 0, 0, np.eye(vector.size)
         for rho in self.stages:
-            vector, normal, n_steps = _train(problem, vector, scale, rho, width=self.width, max_steps=self.max_steps)
-            steps += n_steps
-        n = problem.prior.mean.size
-        passes = steps * (1 + 2 * (problem.start.mean.size + n))
-        cov = _parameter_cov(normal, n)
-        return settle(problem, vector[-n:], passes, polish=self.polish, cov=cov, method=self.name)
+            vector, normal, steps = _train(problem, vector, layout, rho, max_steps=self.max_steps)
+            n_evals += steps * (1 + 2 * (layout.size.size + n))
+        average = _average(vector[-n_terms - n :], _cov_of_last(normal, n_terms + n), n_terms)
+        mean, cov = average.mean, average.cov
+        if steps == self.max_steps:
+            return conclude(problem, mean, "max_steps", n_evals, own_objective=True, cov=cov, method=self.name)
+        if average.chance_complete >= 1.0 - DOUBT:
+            return settle(problem, mean, n_evals, polish=self.polish, cov=cov, method=self.name)
+        method = f"{self.name}: {_describe(average, layout.exponents)}"
+        outcome: Status = "converged" if average.chance_complete <= DOUBT else "weakly_identifiable"
+        return conclude(problem, mean, outcome, n_evals, own_objective=True, cov=cov, method=method)
+
+
+def _lay_out(guess: Array, width: int) -> _Layout:
+    """Scale a net of `width` units to states like `guess` (k, s)."""
+    n_states = guess.shape[1]
+    products = [c for degree in (2, 3) for c in combinations_with_replacement(range(n_states), degree)]
+    return _Layout(
+        np.linspace(0.0, 1.0, len(guess)),
+        np.maximum(np.abs(guess).max(axis=0), 1e-9),
+        np.maximum(np.abs(np.diff(guess, axis=0)).mean(axis=0), 1e-12),
+        width,
+        np.array([[product.count(j) for j in range(n_states)] for product in products]),
+    )
+
+
+class _Average(NamedTuple):
+    """Mean (n,) and covariance (n, n) of the parameters over the models, the probability that no term is missing, and
+    terms and probability of the likeliest other model."""
+
+    mean: Array
+    cov: Array
+    chance_complete: float
+    terms: tuple[int, ...]
+    chance: float
+
+
+def _average(mean: Array, cov: Array, n_terms: int) -> _Average:
+    """Average the parameters over models with at most two missing terms, from the posterior with all of them.
+
+    The models' numbers of terms are equally likely beforehand.
+
+    Parameters
+    ----------
+    mean : array (n_terms + n,)
+        Coefficients of the terms, then the parameters; `cov` likewise.
+    """
+    models = [m for size in range(MOST_TERMS + 1) for m in combinations(range(n_terms), size)]
+    sizes = np.array([len(m) for m in models])
+    log_weight = -np.log(np.bincount(sizes)[sizes])
+    means, covs = [], []
+    for i, model in enumerate(models):
+        absent = np.setdiff1d(np.arange(n_terms), model)
+        own, shared = cov[np.ix_(absent, absent)], cov[absent, n_terms:]
+        gain = np.linalg.solve(own, np.column_stack([mean[absent], shared]))
+        log_density = -0.5 * (mean[absent] @ gain[:, 0] + np.linalg.slogdet(own)[1])
+        log_weight[i] += log_density + len(absent) * np.log(TERM_SD)
+        means.append(mean[n_terms:] - shared.T @ gain[:, 0])
+        covs.append(cov[n_terms:, n_terms:] - shared.T @ gain[:, 1:])
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    average = weight @ np.array(means)
+    deviation = np.array(means) - average
+    spread = np.einsum("i,ij,ik->jk", weight, deviation, deviation)
+    best = 1 + int(np.argmax(weight[1:]))
+    total = np.einsum("i,ijk->jk", weight, np.array(covs)) + spread
+    return _Average(average, total, float(weight[0]), models[best], float(weight[best]))
+
+
+def _describe(average: _Average, exponents: Array) -> str:
+    """Name the terms that the physics most likely lacks: states are numbered from 1 in their order."""
+    names = []
+    for term in average.terms:
+        state, product = divmod(term, len(exponents))
+        factors = " ".join(f"x{j + 1}^{e}" if e > 1 else f"x{j + 1}" for j, e in enumerate(exponents[product]) if e)
+        names.append(f"{factors} in the rate of x{state + 1}")
+    return f"the physics lacks {' and '.join(names)} (probability {average.chance:.2f})"
+
+
+def _products(states: Array, layout: _Layout) -> tuple[Array, Array]:
+    """Evaluate products of the scaled states (s, k): (products, k), and their derivatives by state (products, s, k)."""
+    size, powers = layout.size, layout.exponents[:, :, None]
+    scaled = states / size[:, None]
+    factors = scaled**powers
+    by_own = powers * scaled ** np.maximum(powers - 1, 0) / size[:, None]
+    slopes = [
+        np.prod(np.insert(np.delete(factors, j, axis=1), j, by_own[:, j], axis=1), axis=1) for j in range(len(size))
+    ]
+    return factors.prod(axis=1), np.stack(slopes, axis=1)
 
 
 def _simulate_states(problem: Problem) -> Array:
@@ -105,94 +194,107 @@ def _simulate_states(problem: Problem) -> Array:
     return states
 
 
-def _first_weights(width: int, guess: Array, scale: _Scale, rng: np.random.Generator) -> Array:
+def _first_weights(layout: _Layout, guess: Array, rng: np.random.Generator) -> Array:
     """Initialise units evenly over the record, each a few spacings wide, and fit them to the guess."""
+    width = layout.width
     slope = width * rng.uniform(0.3, 1.0, width) * rng.choice([-1.0, 1.0], width)
     shift = -slope * np.linspace(-0.05, 1.05, width)
-    activation = np.column_stack([np.tanh(np.outer(scale.time, slope) + shift), np.ones(len(guess))])
+    activation = np.column_stack([np.tanh(np.outer(layout.time, slope) + shift), np.ones(len(guess))])
     ridge = 1e-6 * len(guess) * np.eye(width + 1)
-    weights = np.linalg.solve(activation.T @ activation + ridge, activation.T @ (guess / scale.size))
+    weights = np.linalg.solve(activation.T @ activation + ridge, activation.T @ (guess / layout.size))
     return np.concatenate([slope, shift, weights[:-1].ravel(), weights[-1]])
 
 
-def _train(
-    problem: Problem, vector: Array, scale: _Scale, rho: float, *, width: int, max_steps: int
-) -> tuple[Array, Array, int]:
-    """Train net and parameters by Levenberg and Marquardt: vector, its J^T J, steps."""
-    residual, slope = _loss(problem, vector, scale, rho, width)
+def _train(problem: Problem, vector: Array, layout: _Layout, rho: float, *, max_steps: int) -> tuple[Array, Array, int]:
+    """Train net, terms and parameters by Levenberg and Marquardt: vector, its J^T J, steps."""
+    residual, slope = _loss(problem, vector, layout, rho)
     cost, damping, n_still, steps = float(residual @ residual), FIRST_DAMPING, 0, 0
     normal, n = slope.T @ slope, problem.prior.mean.size
     while steps < max_steps and n_still < STILL_STEPS:
         steps += 1
         gradient, size = slope.T @ residual, np.diag(normal) + 1e-12
         while True:
-            move = np.linalg.solve(normal + damping * np.diag(size), -gradient)
-            trial = vector + move
+            trial = vector + np.linalg.solve(normal + damping * np.diag(size), -gradient)
             trial[-n:] = np.clip(trial[-n:], *problem.bounds.T)
-            new_residual, new_slope = _loss(problem, trial, scale, rho, width)
+            new_residual, new_slope = _loss(problem, trial, layout, rho)
             new_cost = float(new_residual @ new_residual)
             if new_cost < cost or damping > 1e8:
                 break
             damping *= 4.0
         if new_cost >= cost:  # no step lowers the cost: the minimum, to rounding
             break
-        still_sd = STILL_SD * np.sqrt(np.diag(_parameter_cov(normal, n)))
-        free = damping <= FIRST_DAMPING  # a step held back by damping is short for another reason
-        n_still = n_still + 1 if free and (np.abs(move[-n:]) <= still_sd).all() else 0
+        n_still = n_still + 1 if cost - new_cost < STILL_COST else 0
         vector, residual, slope, cost, damping = trial, new_residual, new_slope, new_cost, damping * 0.2
         normal = slope.T @ slope
     return vector, normal, steps
 
 
-def _parameter_cov(normal: Array, n: int) -> Array:
-    """Compute the covariance (n, n) of the parameters, which come last, ignoring net directions without information."""
+def _cov_of_last(normal: Array, n: int) -> Array:
+    """Compute the covariance (n, n) of the last n unknowns, ignoring net directions without information."""
     size = np.sqrt(np.diag(normal) + 1e-12)
     scaled_normal = normal / np.outer(size, size) + 1e-12 * np.eye(size.size)
     cov = np.linalg.solve(scaled_normal, np.eye(size.size)[:, -n:])[-n:] / np.outer(size[-n:], size[-n:])
     return np.asarray(0.5 * (cov + cov.T))
 
 
-def _loss(problem: Problem, vector: Array, scale: _Scale, rho: float, width: int) -> tuple[Array, Array]:
-    """Compute residuals of the loss and their Jacobian by everything trained."""
-    time, size = scale.time, scale.size
-    s, n, k = size.size, problem.prior.mean.size, time.size
-    theta = vector[-n:]
-    states, by_weights = _states(vector[:-n], time, size, width)
+def _loss(problem: Problem, vector: Array, layout: _Layout, rho: float) -> tuple[Array, Array]:
+    """Compute residuals of the loss and their Jacobian by everything trained: net, terms, parameters."""
+    size = layout.size
+    s, n, k, n_products = size.size, problem.prior.mean.size, layout.time.size, len(layout.exponents)
+    net, coefficients, theta = np.split(vector, (vector.size - n - s * n_products, vector.size - n))
+    states, by_net = _states(net, layout)
     index = np.arange(k)
     modelled, modelled_x, modelled_theta = _with_slopes(problem.observe, states, theta, index)
     assert problem.transition is not None
     next_states, next_x, next_theta = _with_slopes(problem.transition, states[:, :-1], theta, index[:-1])
-    change = rho * scale.change[:, None]
+    change, coefficients = layout.change[:, None], coefficients.reshape(s, n_products)
+    terms, terms_x = _products(states[:, :-1], layout)
+    next_states = next_states + change * (coefficients @ terms)
+    next_x = next_x + change[..., None] * np.einsum("af,fsk->ask", coefficients, terms_x)
     is_recorded = ~np.isnan(problem.measured.T)
     error = modelled - np.where(is_recorded, problem.measured.T, 0.0)
-    data = np.where(is_recorded, error / problem.sigma[:, None], 0.0)
     weight = is_recorded / problem.sigma[:, None]
     start_sd = np.maximum(np.sqrt(np.diag(problem.start.cov)), 1e-3 * size)
     root = np.linalg.cholesky(problem.prior.information + 1e-30 * np.eye(n)).T
-    rows = [
+    step_error = rho * change
+    rows = [  # residual, and its derivatives by net, terms and parameters; 0 where it depends on none of them
         (
-            data,
-            np.einsum("mk,msk,skw->mkw", weight, modelled_x, by_weights),
+            np.where(is_recorded, error / problem.sigma[:, None], 0.0),
+            np.einsum("mk,msk,skw->mkw", weight, modelled_x, by_net),
+            0.0,
             weight[..., None] * np.moveaxis(modelled_theta, 1, 2),
         ),
         (
-            (states[:, 1:] - next_states) / change,
-            (by_weights[:, 1:] - np.einsum("ask,skw->akw", next_x, by_weights[:, :-1])) / change[..., None],
-            -np.moveaxis(next_theta, 1, 2) / change[..., None],
+            (states[:, 1:] - next_states) / step_error,
+            (by_net[:, 1:] - np.einsum("ask,skw->akw", next_x, by_net[:, :-1])) / step_error[..., None],
+            -np.einsum("ab,fk->akbf", np.eye(s), terms) / rho,
+            -np.moveaxis(next_theta, 1, 2) / step_error[..., None],
         ),
-        ((states[:, 0] - problem.start.mean) / start_sd, by_weights[:, 0] / start_sd[:, None], np.zeros((s, n))),
-        (root @ (theta - problem.prior.mean), np.zeros((n, vector.size - n)), root),
+        ((states[:, 0] - problem.start.mean) / start_sd, by_net[:, 0] / start_sd[:, None], 0.0, 0.0),
+        (coefficients.ravel() / TERM_SD, 0.0, np.eye(coefficients.size) / TERM_SD, 0.0),
+        (root @ (theta - problem.prior.mean), 0.0, 0.0, root),
     ]
-    residual = np.concatenate([r.ravel() for r, _, _ in rows])
-    jacobian = np.concatenate([np.hstack([w.reshape(r.size, -1), t.reshape(r.size, n)]) for r, w, t in rows])
-    return residual, jacobian
+    widths = (net.size, coefficients.size, n)
+    jacobian = np.concatenate(
+        [
+            np.hstack([_block(slope, residual.size, width) for slope, width in zip(slopes, widths, strict=True)])
+            for residual, *slopes in rows
+        ]
+    )
+    return np.concatenate([residual.ravel() for residual, *_ in rows]), jacobian
 
 
-def _states(weights: Array, time: Array, size: Array, width: int) -> tuple[Array, Array]:
+def _block(slope: Array | float, n_rows: int, n_columns: int) -> Array:
+    """Lay out a derivative as (rows, columns)."""
+    return np.reshape(slope, (n_rows, n_columns)) if np.ndim(slope) else np.full((n_rows, n_columns), slope)
+
+
+def _states(weights: Array, layout: _Layout) -> tuple[Array, Array]:
     """Compute states (s, k) of the net and their derivatives by its weights, (s, k, w).
 
     One layer of tanh: slopes and shifts of the units, their weights (units, s), offsets (s,).
     """
+    time, size, width = layout.time, layout.size, layout.width
     s = size.size
     slope, shift, weight, offset = np.split(weights, (width, 2 * width, weights.size - s))
     weight = weight.reshape(width, s)
