@@ -170,7 +170,7 @@ def unit_health(
         estimates = _reject_beyond_range(estimates, own, component)
         flights.append(estimates)
         if estimates.height:
-            offset = _design_offset(own, model, component)
+            offset = design_offset(own, model, component)
             health.append(
                 health_by_prior(estimates, offset.sd, component)
                 if rests_on_prior
@@ -189,7 +189,7 @@ def pack_models(
         yield model, bool((rows["n_flights"] == 0).all()), own
 
 
-def _design_offset(samples: pl.DataFrame, model: PhysicsModel, component: Component) -> DesignOffset:
+def design_offset(samples: pl.DataFrame, model: PhysicsModel, component: Component) -> DesignOffset:
     """Estimate the declared design's offset from a pack's calibrated one by the wear of the first flights with each."""
     if design_prior(component.model) is None:
         return DesignOffset()

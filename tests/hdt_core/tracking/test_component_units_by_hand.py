@@ -16,11 +16,11 @@ from hdt_core.tracking.component import declared_estimator
 from hdt_core.tracking.component_units import (
     _as_built,
     _calibrate_pack,
-    _design_offset,
     _prior,
     _reject_beyond_range,
     _second_level,
     _strays,
+    design_offset,
     health_by_prior,
     pack_models,
     unit_health,
@@ -156,7 +156,7 @@ def test_a_loss_at_its_lower_bound_says_nothing(loss, status):
 
 def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_design():
     """A lift of 1.7 is a loss of 0.15 at a size of 2 m, of 0.19 at 2.1 m, as large as it may be."""
-    built = _design_offset(samples([1.7, 1.7]), PUMP, PART)
+    built = design_offset(samples([1.7, 1.7]), PUMP, PART)
     assert built == pytest.approx((0.0, np.log(2.1 / 2.0)), abs=1e-6)
     rows = flights(4, pmp_loss=[0.15, 0.15, None, 0.15], pmp_loss_sd=[0.02, None, 0.1, 0.02])
     status = pl.Series(["converged"] * 3 + ["not_identifiable"])
