@@ -1,4 +1,4 @@
-"""`python docs/dagster_pictures.py LANDING HOME`: a picture of the recorder files on Dagster's page, into docs/images."""
+"""`python docs/dagster_pictures.py LANDING HOME`: picture of recorder files in Dagster, to docs/images."""
 
 import re
 import subprocess
