@@ -105,7 +105,7 @@ class Learner:
         left, failed, life = (v[check] for v in (cases.remaining, cases.failed, cases.life))
         return cls(model, learn_levels(by, left, failed, life, prior_lives=5.0), informative)
 
-    def say(self, cases: Cases, name: str) -> pl.DataFrame:
+    def predict(self, cases: Cases, name: str) -> pl.DataFrame:
         """Predict every row in the columns of `prognoses`, with the risk of a message within 100 flights."""
         by = event_by(hazards([self.model], np.where(self.informative, cases.inputs[name], 0.0)))
         low, middle, high = (quantile(by, level) for level in self.levels)

@@ -57,7 +57,7 @@ def table(fleets: dict[str, chain.Tables], own: list[chain.Tables]) -> str:
     for name, tables in fleets.items():
         for taught, teacher in teachers.items():
             for inputs in INPUTS if taught != name else ():
-                forecasts = Learner.fit(teacher, inputs).say(rows[name], inputs)
+                forecasts = Learner.fit(teacher, inputs).predict(rows[name], inputs)
                 lines.append(line(name, taught, inputs, forecasts.filter(pl.col("remaining") >= 1)))
         product = join_outcomes(tables["prognoses"], tables["features"], tables["lives"])
         product = product.with_columns(risk="p_event_100")

@@ -104,7 +104,7 @@ def affected(module: str) -> list[str]:
     return steps
 
 
-def remade(tables: chain.Tables, steps: list[str]) -> chain.Tables:
+def rerun(tables: chain.Tables, steps: list[str]) -> chain.Tables:
     """Rerun these steps, and every step that reads what they changed."""
     tables, changed_tables = dict(tables), set[str]()
     for step in chain.STEPS:
@@ -122,7 +122,7 @@ def same(one: Any, other: Any) -> bool:
     return pickle.dumps(one) == pickle.dumps(other)
 
 
-def tried(constant: Constant, factor: float, pickled: Path, copy: Path) -> dict[str, float]:
+def try_change(constant: Constant, factor: float, pickled: Path, copy: Path) -> dict[str, float]:
     """Compute the figures with one constant changed, in a process on a copy of the sources."""
     file = copy.joinpath(*constant.module.split(".")).with_suffix(".py")
     source = file.read_text()
@@ -136,7 +136,7 @@ def tried(constant: Constant, factor: float, pickled: Path, copy: Path) -> dict[
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def copied(folder: Path) -> Path:
+def copy_sources(folder: Path) -> Path:
     """Copy the sources below a folder."""
     for package in ("hdt_core", "pipelines", "benchmarks", "dagster_batched"):
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -154,11 +154,11 @@ def run(fleets: list[list[str]], results: Path, only: list[str], every: int) -> 
             _note(results, {"fleet": name, "at": "", "factor": 1.0, "figures": figures(tables)})
     done = {(r["fleet"], r["at"], r["factor"]) for r in _read_results(results)}
     with tempfile.TemporaryDirectory() as folder:
-        copy = copied(Path(folder))
+        copy = copy_sources(Path(folder))
         for constant, (name, _, _), factor in product(ledger(), fleets, FACTORS):
             at = f"{constant.module}:{constant.path}"
             if any(fnmatch(at, pattern) for pattern in only) and (name, at, factor) not in done:
-                result = tried(constant, factor, results.with_suffix(f".{name}.pickle"), copy)
+                result = try_change(constant, factor, results.with_suffix(f".{name}.pickle"), copy)
                 _note(results, {"fleet": name, "at": at, "factor": factor, "figures": result})
 
 
@@ -227,7 +227,7 @@ def main() -> None:
     elif options.verb == "write":
         put("ledger", table(options.results), PAGE)
     else:
-        print(json.dumps(figures(remade(pickle.loads(options.kept.read_bytes()), options.steps))))
+        print(json.dumps(figures(rerun(pickle.loads(options.kept.read_bytes()), options.steps))))
 
 
 if __name__ == "__main__":

@@ -146,7 +146,7 @@ def _precision_at(prognoses: pl.DataFrame, recall: float) -> float:
 def ablation(taught: list[Frames], scored: list[Frames]) -> str:
     """The same learner on more and more of the twin."""
     learn, test = pooled([rows_of(f) for f in taught]), pooled([rows_of(f) for f in scored])
-    forecast = {name: Learner.fit(learn, name).say(test, name) for name in (*SETS, "health parameters alone")}
+    forecast = {name: Learner.fit(learn, name).predict(test, name) for name in (*SETS, "health parameters alone")}
     forecast["physics extrapolation, its error learned"] = extrapolated(learn, test)
     head = ["inputs", "mean absolute error", "interval skill", "coverage", "Brier skill", "AUC"]
     lines = [[*head, "interval score", "lead, median", "lead, 10th", "early in 1,000"]]

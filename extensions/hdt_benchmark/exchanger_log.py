@@ -50,13 +50,13 @@ def fit_lumped_log(
     fast = is_compiled(path)
     pace = (0.5 * dt_s / mass_hot_kg, 0.5 * dt_s / mass_cold_kg)
     run = exchanger_log_compiled.fits if fast else exchanger_log_arrays.fits
-    theta, information, chi2, n_used, steps, code = run(_filled(samples, fast), samples.starts, pace)
+    theta, information, chi2, n_used, steps, code = run(_fill_gaps(samples, fast), samples.starts, pace)
     outside = (theta <= np.log(LEAST_H_W_K)) | (theta >= np.log(MOST_H_W_K))
     code[outside & (code != NOT_IDENTIFIABLE)] = AT_BOUND
     return FlightFits(theta, information, chi2, n_used, steps, code)
 
 
-def _filled(samples: ExchangerSamples, fast: bool) -> Columns:
+def _fill_gaps(samples: ExchangerSamples, fast: bool) -> Columns:
     """Fill gaps of the inputs with the last value within each flight; samples without one get weight 0."""
     columns = samples.columns()
     if fast and exchanger_log_compiled.is_whole(columns):

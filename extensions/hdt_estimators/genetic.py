@@ -66,7 +66,7 @@ class Genetic:
         before = random.getstate()  # DEAP draws from the module's generator
         random.seed(self.seed)
         try:
-            best, objective, n_evals, agreed = self._evolved(problem, free, lower[free], upper[free])
+            best, objective, n_evals, agreed = self._evolve(problem, free, lower[free], upper[free])
         finally:
             random.setstate(before)
         theta = problem.origin.copy()
@@ -77,7 +77,7 @@ class Genetic:
             return settle(problem, theta, n_evals, method=self.name)
         return conclude(problem, theta, "converged" if agreed else "max_steps", n_evals, method=self.name)
 
-    def _evolved(
+    def _evolve(
         self, problem: Problem, free: npt.NDArray[np.bool_], lower: Array, upper: Array
     ) -> tuple[Array, float, int, bool]:
         """Return the fittest individual (free parameters,), its objective, evaluations and convergence."""

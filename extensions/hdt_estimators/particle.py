@@ -73,7 +73,7 @@ class ParticleFilter:
             weight = _normalised(log_weight)
             if 1.0 / (weight @ weight) < 0.5 * len(cloud) or i + 1 == len(path):
                 spread = _spread(cloud, weight)
-                indices = _resampled(weight, rng)
+                indices = _resample_indices(weight, rng)
                 cloud, misfit = cloud[indices], misfit[indices]
                 for _ in range(self.moves):
                     cloud, misfit, accepted = _move_particles(problem, cloud, misfit, spread, i=i, rng=rng)
@@ -99,7 +99,7 @@ class ParticleFilter:
             path[i] = weight @ cloud
             path_sd[i] = np.sqrt(weight @ (cloud - path[i]) ** 2)
             if 1.0 / (weight @ weight) < 0.5 * len(cloud):
-                indices = _resampled(weight, rng)
+                indices = _resample_indices(weight, rng)
                 cloud, x, log_weight = cloud[indices], x[indices], np.zeros(len(cloud))
                 jitter = path_sd[i] * np.sqrt(1.0 - self.shrinkage**2) * rng.standard_normal(cloud.shape)
                 cloud = self.shrinkage * cloud + (1.0 - self.shrinkage) * path[i] + jitter
@@ -184,7 +184,7 @@ def _normalised(log_weight: Array) -> Array:
     return np.asarray(weight / weight.sum())
 
 
-def _resampled(weight: Array, rng: np.random.Generator) -> Array:
+def _resample_indices(weight: Array, rng: np.random.Generator) -> Array:
     """Resample systematically; return the indices of the surviving particles."""
     ticks = (rng.random() + np.arange(weight.size)) / weight.size
     return np.minimum(np.searchsorted(np.cumsum(weight), ticks), weight.size - 1)

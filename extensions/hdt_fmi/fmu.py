@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from hdt_core.physics.integrators import Solver
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal, with_signature
-from hdt_fmi.fmu_unit import FATAL, FmuUnit, check_losses, lossless
+from hdt_fmi.fmu_unit import FATAL, FmuUnit, apply_losses, check_losses
 
 
 def fmu_model(
@@ -70,7 +70,7 @@ def fmu_model(
     def run(kind: str, values: dict[str, Any]) -> tuple[Array, ...]:
         now = [values.pop(s.name) for s in states]
         output_names = [s.name for s in outputs] if kind == "outputs" else None
-        return points.evaluate(lossless(values, losses), [p.name for p in own], now, output_names)
+        return points.evaluate(apply_losses(values, losses), [p.name for p in own], now, output_names)
 
     return PhysicsModel(
         name=unit.name,

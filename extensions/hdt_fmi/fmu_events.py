@@ -14,7 +14,7 @@ import numpy as np
 
 from hdt_core.physics.integrators import RTOL
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal, with_signature
-from hdt_fmi.fmu_unit import FATAL, FmuUnit, check_losses, lossless
+from hdt_fmi.fmu_unit import FATAL, FmuUnit, apply_losses, check_losses
 
 TIME = Signal("time_s", "s")
 MOST_EVENTS = 10_000
@@ -71,7 +71,7 @@ def fmu_over_time(
 
     def over_time(**values: Any) -> tuple[Array, ...]:
         time_s = values.pop(TIME.name)
-        effective = lossless(values, losses)
+        effective = apply_losses(values, losses)
         return run.evaluate([effective[p.name] for p in own], time_s)
 
     order = [TIME.name, *(p.name for p in params)]

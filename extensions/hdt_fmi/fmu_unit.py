@@ -120,7 +120,7 @@ class FmuUnit:
         return float(update[5]) if update[4] else float("inf")
 
 
-def lossless(values: Mapping[str, Any], losses: Mapping[str, str]) -> dict[str, Array]:
+def apply_losses(values: Mapping[str, Any], losses: Mapping[str, str]) -> dict[str, Array]:
     """Convert parameters for an FMU without losses: reduce each by the share its loss takes."""
     remaining = {of: values[of] * (1.0 - values[loss]) for loss, of in losses.items()}
     return {name: remaining.get(name, value) for name, value in values.items() if name not in losses}

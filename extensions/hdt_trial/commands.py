@@ -65,10 +65,10 @@ def take_outcomes(
 
     Kind is MESSAGE, REPLACED or INSPECTED.
     """
-    from hdt_trial.outcomes import take_in
+    from hdt_trial.outcomes import seal_outcomes
 
     with _one_writer(home) as where:
-        entry = take_in(where, file)
+        entry = seal_outcomes(where, file)
     out.print(f"{len(entry.body['rows'])} outcomes in entry {entry.number}: {entry.digest}", soft_wrap=True)
 
 

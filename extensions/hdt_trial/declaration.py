@@ -81,7 +81,7 @@ def read_declaration(text: str) -> Declaration:
         raise TrialError("declare each rule in a table [rule.NAME]")
     rules = tuple(_rule(name, entry) for name, entry in entries.pop("rule", {}).items())
     default = parse_toml(DEFAULT)
-    flat = _filled(default, entries, "")
+    flat = _fill_defaults(default, entries, "")
     sections = {name: flat.pop(name) for name in ("event", "alert", "prognosis", "minimum", "cost")}
     declared = Declaration(
         **_tuples(flat | sections["event"] | sections["alert"] | sections["prognosis"]),
@@ -93,24 +93,24 @@ def read_declaration(text: str) -> Declaration:
     return declared
 
 
-def _filled(default: dict[str, Any], entries: dict[str, Any], where: str) -> dict[str, Any]:
+def _fill_defaults(default: dict[str, Any], entries: dict[str, Any], where: str) -> dict[str, Any]:
     for name, value in entries.items():
         default_value = default.get(name)
         if default_value is None:
             raise TrialError(f"the declaration has no {where}{name}; valid keys: {', '.join(default)}")
-        if not (_alike(value, default_value)):
+        if not (_same_kind(value, default_value)):
             raise TrialError(
                 f"{where}{name} in the declaration is {value!r}; expected a value such as {default_value!r}"
             )
     return {
-        name: _filled(default_value, entries.get(name, {}), f"{name}.")
+        name: _fill_defaults(default_value, entries.get(name, {}), f"{name}.")
         if isinstance(default_value, dict)
         else entries.get(name, default_value)
         for name, default_value in default.items()
     }
 
 
-def _alike(value: Any, default: Any) -> bool:
+def _same_kind(value: Any, default: Any) -> bool:
     if isinstance(default, int | float) and not isinstance(value, bool):
         return isinstance(value, int | (float if isinstance(default, float) else int)) and 0 <= value <= MOST
     if isinstance(default, list):

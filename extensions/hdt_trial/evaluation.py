@@ -11,7 +11,7 @@ from typing import Any
 import polars as pl
 
 from hdt_trial.declaration import Declaration, Rule, TrialError
-from hdt_trial.figures import Figure, ScoredAlerts, Teller, judge_alerts, judge_prognoses, kept_back
+from hdt_trial.figures import Figure, FigureBuilder, ScoredAlerts, judge_alerts, judge_prognoses, suppress_small_counts
 from hdt_trial.judgement import Judge, SealedAlert, sealed_span
 from hdt_trial.log import LogEntry, entries
 from hdt_trial.outcomes import Outcomes, read_outcomes
@@ -68,10 +68,10 @@ def evaluate(home: Path) -> Evaluation:
     with connect(home) as con:
         outcomes = read_outcomes(con, log, declared)
     rules = {rule.name: _alerts_of_file(rule, outcomes, log) for rule in declared.rules if rule.file}
-    return evaluated(log, declared, outcomes, rules)
+    return evaluate_log(log, declared, outcomes, rules)
 
 
-def evaluated(
+def evaluate_log(
     log: Sequence[LogEntry], declared: Declaration, outcomes: Outcomes, unsealed: dict[str, list[SealedAlert]]
 ) -> Evaluation:
     """Evaluate a log.
@@ -91,11 +91,11 @@ def evaluated(
     scores = {OURS: judge_alerts(log, judge)}
     scores |= {r.name: judge_alerts(log, judge, r.name, unsealed.get(r.name)) for r in declared.rules}
     prognoses = judge_prognoses(log, judge)
-    figures = {source: Teller(judge, score).alert_figures() for source, score in scores.items()}
-    figures[OURS] += Teller(judge, scores[OURS]).prognosis_figures(prognoses)
+    figures = {source: FigureBuilder(judge, score).alert_figures() for source, score in scores.items()}
+    figures[OURS] += FigureBuilder(judge, scores[OURS]).prognosis_figures(prognoses)
     least, own = declared.minimum.count, scores[OURS]
     foretold = [e for e in own.events if e.verdict in ("hit", "too_late", "too_early") and e.sealed_at]
-    after = kept_back({"n": sum(e.at <= e.sealed_at for e in foretold if e.sealed_at)}, least)["n"]
+    after = suppress_small_counts({"n": sum(e.at <= e.sealed_at for e in foretold if e.sealed_at)}, least)["n"]
     return Evaluation(
         declared=declared,
         text=_RULE.sub(r"\1\n# not published\n", log[0].body["declaration"]),
@@ -113,8 +113,8 @@ def evaluated(
         prognoses=sum(len(e.body.get("prognoses", [])) for e in log),
         without_pack=outcomes.without_pack,
         figures=figures,
-        verdicts={source: kept_back(score.verdicts, least) for source, score in scores.items()},
-        agreement={r.name: kept_back(_agreement(own, scores[r.name]), least) for r in declared.rules},
+        verdicts={source: suppress_small_counts(score.verdicts, least) for source, score in scores.items()},
+        agreement={r.name: suppress_small_counts(_agreement(own, scores[r.name]), least) for r in declared.rules},
     )
 
 

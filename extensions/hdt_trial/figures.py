@@ -98,7 +98,7 @@ def judge_prognoses(log: Sequence[LogEntry], judge: Judge) -> list[JudgedPrognos
 
 
 @dataclass(frozen=True)
-class Teller:
+class FigureBuilder:
     """Compute the publishable figures of one source."""
 
     judge: Judge
@@ -216,14 +216,14 @@ class Teller:
         return f"fewer than {least.aircraft} aircraft" if aircraft < least.aircraft else ""
 
 
-def kept_back(counts: Mapping[str, int], least: int) -> dict[str, int | None]:
+def suppress_small_counts(counts: Mapping[str, int], least: int) -> dict[str, int | None]:
     """Suppress small counts: None stands for one from 1 to `least` - 1.
 
     Where a single one is kept back the sum would give it away: then the least of the others is kept back as well.
 
     Examples
     --------
-    >>> kept_back({"hit": 12, "too_late": 2, "open": 7, "removed": 0}, 5)
+    >>> suppress_small_counts({"hit": 12, "too_late": 2, "open": 7, "removed": 0}, 5)
     {'hit': 12, 'too_late': None, 'open': None, 'removed': 0}
     """
     hidden = {name for name, n in counts.items() if 0 < n < least}

@@ -75,7 +75,7 @@ def outcomes_of(
     return Outcomes(departed, events, removals, no_faults, without_pack)
 
 
-def take_in(home: Path, file: Path, now: datetime | None = None) -> LogEntry:
+def seal_outcomes(home: Path, file: Path, now: datetime | None = None) -> LogEntry:
     """Seal outcomes missing from the logs: shop findings, removals, messages reported orally.
 
     Raises
@@ -89,13 +89,13 @@ def take_in(home: Path, file: Path, now: datetime | None = None) -> LogEntry:
         raise TrialError(f"{file} is not valid CSV: {str(error).splitlines()[0]}") from None
     if missing := [c for c in COLUMNS[:6] if c not in table.columns]:
         raise TrialError(f"{file} has no column {missing[0]}; it has {', '.join(COLUMNS)}, the last two may be empty")
-    rows = [_checked(file, n, row) for n, row in enumerate(table.iter_rows(named=True), start=2)]
+    rows = [_check_row(file, n, row) for n, row in enumerate(table.iter_rows(named=True), start=2)]
     folder = log_folder(home)
     declaration_of(entries(folder))
     return append(folder, "outcomes", {"file": file.name, "rows": rows}, now or datetime.now(UTC))
 
 
-def _checked(file: Path, number: int, row: dict[str, str | None]) -> dict[str, Any]:
+def _check_row(file: Path, number: int, row: dict[str, str | None]) -> dict[str, Any]:
     def refuse(column: str, expected: str) -> TrialError:
         return TrialError(f"{file} row {number} column {column}: {row.get(column)!r} is not {expected}")
 

@@ -72,21 +72,23 @@ def test_each_tab_has_a_table_or_chart_and_no_error(page, tab):
 
 
 def test_figures_on_top_are_the_catalogs_and_follow_the_operators(page, con):
-    def asked(where: str) -> tuple[int, int, str]:
+    def figures_of(where: str) -> tuple[int, int, str]:
         ((plan,),) = con.sql(f"select count(*) from fleet_ranking where urgency = 'plan' and {where}").fetchall()
-        ((heard, cost),) = con.sql(
+        ((n_messages, cost),) = con.sql(
             f"select sum(n_messages)::int, sum(expected_message_cost) from operator_costs where {where}"
         ).fetchall()
-        return plan, heard, f"{cost:,.0f}"
+        return plan, n_messages, f"{cost:,.0f}"
 
-    def seen() -> tuple[int, int, str]:
+    def page_figures() -> tuple[int, int, str]:
         return int(metric(page, "Plan")), int(metric(page, "so far")), metric(page, "to expect")
 
-    assert seen() == asked("true")
-    assert asked("true") != asked("operator = 'BZR'")
+    assert page_figures() == figures_of("true")
+    assert figures_of("true") != figures_of("operator = 'BZR'")
     page.get_by_test_id("stSidebar").get_by_role("button", name="Remove AQX").click()
-    expect(page.get_by_test_id("stMetric").filter(has_text="so far")).to_contain_text(str(asked("operator = 'BZR'")[1]))
-    assert seen() == asked("operator = 'BZR'")
+    expect(page.get_by_test_id("stMetric").filter(has_text="so far")).to_contain_text(
+        str(figures_of("operator = 'BZR'")[1])
+    )
+    assert page_figures() == figures_of("operator = 'BZR'")
 
 
 def test_a_home_without_a_catalog_is_named(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ from collections import defaultdict
 import duckdb
 import pytest
 from answers import rows
-from made_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
+from small_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
 
 from pipelines.storage.catalog import CATALOG
 
@@ -44,9 +44,9 @@ def fleet(**more: list[dict]) -> duckdb.DuckDBPyConnection:
 
 
 def test_leads_run_from_the_first_alert_of_the_spell():
-    asked = "spell, alert_id, work_action, flights_to_work, days_to_work, flights_to_message, days_to_message"
+    columns = "spell, alert_id, work_action, flights_to_work, days_to_work, flights_to_message, days_to_message"
     hours = 18 / 24  # flights leave at six, work counts from midnight
-    assert rows(fleet(), f"select {asked} from removal_leads where component = 'HX' order by spell") == [
+    assert rows(fleet(), f"select {columns} from removal_leads where component = 'HX' order by spell") == [
         (0, "a", "REPLACED", 15, 15 + hours, 10, pytest.approx(10 + 1 / 24)),
         (1, "b", "REPLACED", 10, 10 + hours, None, None),
         (2, "c", "CLEANED", 10, 10 + hours, None, None),
@@ -59,14 +59,14 @@ def test_leads_run_from_the_first_alert_of_the_spell():
 
 def test_a_message_before_the_alert_has_a_negative_lead_in_days_and_none_in_flights():
     con = fleet(raw_messages=[message(2)])
-    asked = "select flights_to_message, days_to_message from removal_leads where component = 'HX' and spell = 0"
-    assert rows(con, asked) == [(None, pytest.approx(-3 + 1 / 24))]
+    query = "select flights_to_message, days_to_message from removal_leads where component = 'HX' and spell = 0"
+    assert rows(con, query) == [(None, pytest.approx(-3 + 1 / 24))]
 
 
 def test_a_message_that_came_saves_nothing_and_work_that_found_nothing_costs():
-    asked = "spell, outcome, saving_at_most, saving_expected, needless_cost, currency, cost_source"
+    columns = "spell, outcome, saving_at_most, saving_expected, needless_cost, currency, cost_source"
     chance = (60 - 10.5) / 100  # flights 45 to 54: the last of them is the seventh before the end of day 60
-    assert rows(fleet(), f"select {asked} from realised_savings order by spell") == [
+    assert rows(fleet(), f"select {columns} from realised_savings order by spell") == [
         (0, "message", 0.0, 0.0, 0.0, "EUR", "costs.toml"),
         (1, "needless", 0.0, 0.0, 1000.0, "EUR", "costs.toml"),
         (2, "no_message", 4000.0, pytest.approx(4000 * chance), 0.0, "EUR", "costs.toml"),
@@ -82,9 +82,9 @@ def test_without_a_price_what_happened_is_known_and_the_saving_is_not():
 
 
 def test_costs_of_an_operator_are_events_times_prices():
-    asked = """n_flights, n_messages, n_removals, n_washes, n_needless, total_cost, cost_per_1000_flights,
+    columns = """n_flights, n_messages, n_removals, n_washes, n_needless, total_cost, cost_per_1000_flights,
         saving_at_most, expected_message_cost"""
-    ((*counts, expected),) = rows(fleet(), f"select {asked} from operator_costs")
+    ((*counts, expected),) = rows(fleet(), f"select {columns} from operator_costs")
     total = 2 * 4000.0 + 2 * 1000.0 + 100.0
     assert counts == [DAYS, 2, 2, 1, 1, total, 10 * total, 4000.0]
     assert expected == pytest.approx(4000.0 * 0.99, rel=0.02)
@@ -92,8 +92,8 @@ def test_costs_of_an_operator_are_events_times_prices():
 
 def test_an_operator_without_events_has_a_row_of_none():
     con = fleet(raw_flights=[flight(n) for n in range(DAYS)] + [flight(3, tail="Z-1", operator="ZZZ")])
-    asked = "select n_flights, n_messages, total_cost, saving_at_most from operator_costs where operator = 'ZZZ'"
-    assert rows(con, asked) == [(1, 0, 0.0, 0.0)]
+    query = "select n_flights, n_messages, total_cost, saving_at_most from operator_costs where operator = 'ZZZ'"
+    assert rows(con, query) == [(1, 0, 0.0, 0.0)]
 
 
 def test_one_figure_of_ours_marks_the_row():
@@ -106,8 +106,8 @@ def test_one_figure_of_ours_marks_the_row():
 
 def test_seasons_have_chance_and_margin():
     margins = [flight(n) | {"pack": 1, "hx_margin_k": float(n)} for n in range(31)]
-    asked = "select p_event_50, margin_k, margin_worst_tenth_k from seasonality where calendar_month = 3"
-    assert rows(fleet(features=margins), asked) == [(pytest.approx(0.15), 15.0, 3.0)]
+    query = "select p_event_50, margin_k, margin_worst_tenth_k from seasonality where calendar_month = 3"
+    assert rows(fleet(features=margins), query) == [(pytest.approx(0.15), 15.0, 3.0)]
 
 
 def test_leads_of_the_sample_are_those_counted_in_python(sample_home):
@@ -131,9 +131,9 @@ def test_leads_of_the_sample_are_those_counted_in_python(sample_home):
         ends = [*sorted({w[4] for w in works if w[:4] == unit and w[5] in ("REPLACED", "CLEANED")}), never]
         for spell, (since, until) in enumerate(zip([first, *ends], ends, strict=False)):
             raised = min((a[4:] for a in alerts if a[:4] == unit and since <= a[4] < until), default=(None, None))
-            heard = min((m[4] for m in messages if (*m[:3], codes.get(m[3])) == unit and since <= m[4] < until),
+            event = min((m[4] for m in messages if (*m[:3], codes.get(m[3])) == unit and since <= m[4] < until),
                         default=None)  # fmt: skip
-            if (until, *raised, heard) == (never, None, None, None):
+            if (until, *raised, event) == (never, None, None, None):
                 continue
             departures = [d for d in flights[unit[:2]] if raised[0] and d > raised[0]]
             work = None if until == never else until
@@ -141,8 +141,8 @@ def test_leads_of_the_sample_are_those_counted_in_python(sample_home):
                 work, raised[1],
                 sum(d < work for d in departures) if work and raised[0] else None,
                 (work - raised[0]).total_seconds() / 86400 if work and raised[0] else None,
-                sum(d <= heard for d in departures) if heard and raised[0] and heard >= raised[0] else None,
-                (heard - raised[0]).total_seconds() / 86400 if heard and raised[0] else None,
+                sum(d <= event for d in departures) if event and raised[0] and event >= raised[0] else None,
+                (event - raised[0]).total_seconds() / 86400 if event and raised[0] else None,
             )  # fmt: skip
     assert len(answer) >= 8
     assert answer.keys() == again.keys()

@@ -8,7 +8,7 @@ import pytest
 import trials
 
 from hdt_trial import figures, intervals
-from hdt_trial.evaluation import evaluated
+from hdt_trial.evaluation import evaluate_log
 from hdt_trial.page import page
 
 TRIALS = 50
@@ -21,7 +21,7 @@ def declared():
 
 def evaluation(seed, tails, declared):
     units = trials.fleet(seed, tails)
-    return evaluated(trials.log(units), declared, trials.outcomes(units, declared), {})
+    return evaluate_log(trials.log(units), declared, trials.outcomes(units, declared), {})
 
 
 def test_every_figure_holds_the_truth_in_88_percent_of_50_trials(declared):

@@ -13,7 +13,7 @@ from hdt_trial.declaration import DEFAULT, TrialError, read_declaration
 from hdt_trial.figures import judge_alerts
 from hdt_trial.judgement import Judge
 from hdt_trial.log import entries, faults
-from hdt_trial.outcomes import read_outcomes, take_in
+from hdt_trial.outcomes import read_outcomes, seal_outcomes
 from hdt_trial.seal import declaration_of, seal_night, start
 
 LAST = 200
@@ -130,7 +130,7 @@ def test_outcomes_of_a_file_are_sealed_and_judged(world, tmp_path):
     file = tmp_path / "shop.csv"
     at = START + dt.timedelta(days=45)
     file.write_text(f"operator,tail,pack,component,at,kind,finding\nAAA,T-1,1,HX,{at.isoformat()},REPLACED,FOULED\n")
-    take_in(world.home, file, START + dt.timedelta(days=46))
+    seal_outcomes(world.home, file, START + dt.timedelta(days=46))
     world.night(80)
     assert [(a.verdict, a.lead_flights) for a in world.score_alerts().alerts] == [("hit", 25)]
 
@@ -148,7 +148,7 @@ def test_an_outcome_that_can_not_be_is_told_by_row_and_column(world, tmp_path, r
     file = tmp_path / "shop.csv"
     file.write_text(f"operator,tail,pack,component,at,kind\n{row}\n")
     with pytest.raises(TrialError, match=message):
-        take_in(world.home, file)
+        seal_outcomes(world.home, file)
 
 
 def test_the_operators_rules_are_judged_over_the_same_flights(world, tmp_path):
