@@ -11,7 +11,7 @@ import dagster as dg
 
 from pipelines.lineage import Stage
 
-PUBLISHED = "8_catalog_and_report"
+PUBLISHED = "8_catalog_report"
 """Asset group of the catalog and the report."""
 
 

@@ -22,12 +22,12 @@ from pipelines.storage.headers import MEANINGS
 from pipelines.storage.panics import panics_as_errors
 
 _GROUPS = {
-    "raw": ("1_recorder_files", "flight-data"), "legs": ("2_flights_and_legs", "flight-data"),
-    "calibration": ("3_digital_system_model", "thermal-models"), "twin": ("4_operational_twin", "thermal-models"),
-    "residuals": ("5_residuals", "thermal-models"), "features": ("6_features_and_alerts", "health-monitoring"),
+    "raw": ("1_recorder_files", "flight-data"), "legs": ("2_flight_legs", "flight-data"),
+    "calibration": ("3_system_model", "thermal-models"), "twin": ("4_twin", "thermal-models"),
+    "residuals": ("5_residuals", "thermal-models"), "features": ("6_health_alerts", "health-monitoring"),
     "prognosis": ("7_prognosis", "health-monitoring"), "published": (PUBLISHED, "maintenance-control"),
 }  # fmt: skip
-"""Label of each stage's group on Dagster's page, in the order of the chain, and the team that owns it."""
+"""Label of each group in Dagster's graph, 16 characters at most, in the chain's order, and the team that owns it."""
 _TOOLS = {"calibration": "scipy", "twin": "numpy", "prognosis": "scikitlearn"}
 """Library shown for a group; Polars for the others."""
 _PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}

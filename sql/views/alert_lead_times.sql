@@ -1,4 +1,4 @@
--- How long before the aircraft's own message did the alert speak?
+-- How long before the aircraft's own message was the alert raised?
 -- A case is the first message of a pack's component since that component was last replaced; its alert is the first that
 -- was raised after that replacement and was still open, or had been closed for three days at most, at the message.
 -- Lead is null where no alert came first.

@@ -4,10 +4,10 @@
 -- now_departed_at: departure of now_flight_id
 -- raised_loss: loss when raised [-]
 -- raised_loss_sd: its standard deviation [-]
--- raised_rul_flights: flights left, as told when raised [flights]
+-- raised_rul_flights: flights left, as predicted when raised [flights]
 -- raised_rul_low: lower end of the 90 % interval of that [flights]
 -- raised_rul_high: upper end [flights]
--- raised_p_event_50: probability of an event within 50 flights, as told when raised [-]
+-- raised_p_event_50: probability of an event within 50 flights, as predicted when raised [-]
 -- now_loss: loss now [-]
 -- now_loss_sd: its standard deviation [-]
 -- Grain: alert. Reads: alert_urgencies, flights, health_parameters, prognoses, tables.components.

@@ -9,7 +9,7 @@
 -- place_in_pack: 1 is the pack's most urgent alert; then the most severe, then the oldest
 -- Grain: alert. Reads: alerts, prognoses, unit_urgencies.
 create or replace view alert_urgencies as
-with foretold as (
+with predicted as (
     select
         a.*,
         p.rul_flights as now_rul_flights,
@@ -43,4 +43,4 @@ select
             raised_at asc,
             alert_id asc
     ) as place_in_pack
-from foretold;
+from predicted;

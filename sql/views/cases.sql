@@ -21,7 +21,7 @@
 -- last_note: why
 -- Grain: alert. Reads: alert_states, tables.raw_cases.
 create or replace view cases as
-with told as (
+with entries as (
     select
         *,
         max(line) filter (where kind = 'reopen') over (partition by alert_id) as reopened
@@ -33,7 +33,7 @@ watched as (
         alert_id,
         person,
         arg_max(kind, line) as kind
-    from told
+    from entries
     where kind in ('watch', 'unwatch')
     group by alert_id, person
 ),
@@ -47,7 +47,7 @@ watchers as (
     group by alert_id
 ),
 
-folded as (
+last_entries as (
     select
         alert_id,
         arg_max(assignee, line) filter (where kind = 'assign') as owner,
@@ -55,11 +55,11 @@ folded as (
         max(line) filter (where kind = 'mute' and line > coalesce(reopened, 0)) as muted,
         max(line) filter (where kind = 'close' and line > coalesce(reopened, 0)) as found,
         max(line) as last_line
-    from told
+    from entries
     group by alert_id
 ),
 
-stood as (
+standing as (
     select
         a.alert_id,
         a.operator,
@@ -95,11 +95,11 @@ stood as (
             false
         ) as worse
     from alert_states as a
-    left join folded as f on a.alert_id = f.alert_id
+    left join last_entries as f on a.alert_id = f.alert_id
     left join watchers as w on a.alert_id = w.alert_id
-    left join told as m on f.muted = m.line and f.alert_id = m.alert_id
-    left join told as c on f.found = c.line and f.alert_id = c.alert_id
-    left join told as l on f.last_line = l.line and f.alert_id = l.alert_id
+    left join entries as m on f.muted = m.line and f.alert_id = m.alert_id
+    left join entries as c on f.found = c.line and f.alert_id = c.alert_id
+    left join entries as l on f.last_line = l.line and f.alert_id = l.alert_id
 )
 
 select
@@ -113,4 +113,4 @@ select
         when acknowledged_by is not null or owner is not null then 'acknowledged'
         else 'new'
     end as state
-from stood;
+from standing;

@@ -1,7 +1,7 @@
 -- How long is left, and how sure?
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
 -- status: ok; contradicted (the component was found clean since, and not renewed: what the sensors say, which an
--- inspection did not see); prior_only (no flight of the unit has told anything of it: what is believed of any unit)
+-- inspection did not see); prior_only (no flight of the unit was informative: the prior of any unit)
 -- Grain: flight, pack, component. Reads: alerts, unobserved_units, tables.prognoses, tables.prognoses_components,
 -- tables.raw_maintenance.
 create or replace view prognoses as

@@ -1,7 +1,7 @@
 -- What came of each prognosis, and did its 90 % interval hold?
 -- What is said on the flight of the event or after it is left out. A life is scored where its end was seen or where it
 -- outlived 300 more flights, for which 300 stands: `select component, avg(interval_held::int) from prognosis_outcomes
--- group by component`. Censored lives would bias that either way: of them is told only what is known.
+-- group by component`. Censored lives would bias that either way: only what is known of them is given.
 -- outcome: event (a message that a replacement answered), replaced (without one), unheard (replaced, of an operator
 -- that delivers no messages), open (the unit flies)
 -- seen_flights: flights from the prognosis to that, or to the last flight [flights]
@@ -50,16 +50,16 @@ ended as (
 known as (
     select
         *,
-        least(seen_flights, 300) as told,
+        least(seen_flights, 300) as flown,
         outcome = 'event' or seen_flights >= 300 as scored
     from ended
     where seen_flights >= 1
 )
 
 select
-    * exclude (told, scored),
-    case when scored then told between rul_low and rul_high end as interval_held,
-    case when scored or told > rul_low then told > rul_low end as outlived_low,
-    case when rul_high < 300 and (scored or told > rul_high) then told > rul_high end as outlived_high,
+    * exclude (flown, scored),
+    case when scored then flown between rul_low and rul_high end as interval_held,
+    case when scored or flown > rul_low then flown > rul_low end as outlived_low,
+    case when rul_high < 300 and (scored or flown > rul_high) then flown > rul_high end as outlived_high,
     case when outcome = 'event' and seen_flights <= 50 then true when seen_flights > 50 then false end as event_50
 from known;

@@ -49,7 +49,7 @@ placed as (
             and coalesce(a.begins_at, '-infinity') <= p.departed_at
 ),
 
-foretold as (
+chances as (
     select
         operator,
         tail,
@@ -84,7 +84,7 @@ priced as (
         m.currency,
         greatest(w.source, m.source) as cost_source
     from answered as a
-    left join foretold as f
+    left join chances as f
         on
             a.operator = f.operator
             and a.tail = f.tail

@@ -1,4 +1,4 @@
--- How much of what each sensor should have said was recorded, and how much of that could be believed?
+-- What share of each sensor's readings was recorded, and what share of those passed the screens?
 -- month: first day of the month (UTC)
 -- signal: column of the recorder's signals
 -- n_snapshots: snapshots of the pack

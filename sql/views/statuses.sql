@@ -22,7 +22,7 @@ with explained as (
         ('not_identifiable', 'the flight does not determine it', null),
         ('not_recorded', 'a signal that it needs is not recorded', 'see the view coverage'),
         ('measured', 'a reading of the recorder, without a model', null),
-        ('off_nominal', 'the flight has no sample that the reading is told of', null),
+        ('off_nominal', 'the flight has no usable sample of the reading', null),
         ('few_samples', 'too few samples', null),
         ('no_cruise', 'the flight has no level cruise', null),
         ('implausible', 'the flight shows what no exchanger can', null),
@@ -31,7 +31,7 @@ with explained as (
             'one_or_more',
             'a tenth of the samples or more show a share above one: no fault, and no alert comes of it',
             'water sprayed at the ram inlet (hdt terms --accept water_spray); a sensor that sits elsewhere than its '
-            || 'name says; another meaning of the parameter; a ground fan, or air of another source than TAT tells, '
+            || 'name says; another meaning of the parameter; a ground fan, or air of another source than TAT shows, '
             || 'in the ram duct; a sensor that is off'
         )
     ) as v (status, meaning, causes)

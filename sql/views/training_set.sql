@@ -5,7 +5,7 @@
 -- split_tail: aircraft, to be held out together
 -- split_unit: heat exchanger, to be held out together; another one flies after each replacement
 -- as_stated: no flight that the models were calibrated from departed later, so that night stated just this row; before,
--- features are told with a calibration that knows some weeks more
+-- features rest on a calibration that knows some weeks more
 -- label_hx_flights: flights until the heat exchanger's event, 0 on the flight of the event itself; of a censored row
 -- flights that it outlived without one; NULL after the event, while the unit still flies [flights]
 -- label_hx_censored: no event ended the unit's life, or none yet; NULL where label_hx_flights is

@@ -25,8 +25,8 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import views
 
 GROUPS = {
-    "1_recorder_files", "2_flights_and_legs", "3_digital_system_model", "4_operational_twin",
-    "5_residuals", "6_features_and_alerts", "7_prognosis", "8_catalog_and_report",
+    "1_recorder_files", "2_flight_legs", "3_system_model", "4_twin",
+    "5_residuals", "6_health_alerts", "7_prognosis", "8_catalog_report",
 }  # fmt: skip
 
 
