@@ -34,7 +34,7 @@ def started_browser() -> Iterator[Browser]:
 
 
 def take(home: Path, folder: Path) -> list[Path]:
-    """Photograph the page's head and a pack with its alert."""
+    """Photograph the page's head and the first card."""
     with TemporaryDirectory() as scratch, started_browser() as browser:
         file = Path(scratch) / "report.html"
         write_report(home, file)
@@ -56,19 +56,8 @@ def _head(page: Page, target: Path) -> Path:
 
 
 def _alert(page: Page, target: Path) -> Path:
-    """Photograph the first alert, and under it its pack's chart."""
-    page.evaluate(
-        """() => {
-            const alert = document.querySelector(".alert"), link = document.querySelector("#tonight td a");
-            document.querySelector("main").replaceChildren(alert, document.querySelector(link.hash));
-            document.querySelector("header").remove();
-            scrollTo(0, 0);
-        }"""
-    )
-    page.locator("[data-chart] .bk-Figure").first.wait_for()
-    page.wait_for_timeout(500)
-    height = page.locator("main").evaluate("main => main.getBoundingClientRect().bottom")
-    page.screenshot(path=target, clip={"x": 0, "y": 0, "width": WIDTH, "height": height + 8}, full_page=True)
+    """Photograph the first card: chart with forecast, alert, choices."""
+    page.locator("#tracks article").first.screenshot(path=target)
     return target
 
 

@@ -165,7 +165,8 @@ class Casebook:
         cards = {c["unit"]: c for c in table["cards"]}
         unit = component_key(case)
         card = cards.get(unit) or cards.get(unit[:3])
-        alerts = [a for a in card["alerts"] if a["alert_id"] == case["alert_id"]] if card else []
+        own = [a for a in card["alerts"] if a["alert_id"] == case["alert_id"]] if card else []
+        alerts = [a | {"case": []} for a in own]  # its state stands below as it is now
         context = {
             "title": f"{words.unit_name(case)}: {words.diagnosis(case['diagnosis'])}",
             "card": card and card | {"alerts": alerts},
