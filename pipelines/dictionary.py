@@ -32,11 +32,9 @@ from duckdb_columns() where table_name = 'twin_flights'`).
 """
 _KEYS = ("operator", "tail", "flight_id", "pack", "component", "departed_at", "departed_on")
 """Columns of the view `prognoses` that most views and tables have: explained once, on top."""
-
 _DESCRIBES = re.compile(r"^.*(?=_(?:lost_share|still)$)")
 _SIDES = re.compile(r"(?:dsm|sensor)_minus_(?:dsm|twin)")
 _BY_NAME = re.compile(r"(standard deviation of it|its standard deviation|how that estimate ended)( \[.*\])?$")
-"""Meanings that a column's name has already."""
 _TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', time_zone='utc')": "timestamptz"}
 
 
