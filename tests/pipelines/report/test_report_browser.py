@@ -115,9 +115,7 @@ def test_a_chart_zooms_and_comes_back(opened):
     page.mouse.move(box["x"] + box["width"] * 0.6, middle, steps=5)
     page.mouse.up()
     assert 0.1 * whole < chart.evaluate(span) < 0.4 * whole
-    page.mouse.move(box["x"] + 5, box["y"] - 300)
-    page.mouse.move(box["x"] + box["width"] / 2, middle)
-    page.locator(f"{FIRST} .bk-ResetTool, {FIRST} [title=Reset]").first.click()
+    page.mouse.dblclick(box["x"] + box["width"] / 2, middle)
     assert chart.evaluate(span) == pytest.approx(whole)
 
 
