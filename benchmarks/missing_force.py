@@ -7,9 +7,11 @@ the drive sets how much of it the record shows. Truth: damping 0.5 N s/m, stiffn
 import numpy as np
 
 from benchmarks.harness import arguments, markdown, show
-from hdt_benchmark.oscillator import DT_S, SIGMA_M, TRUTH, WRONG_GUESS, force_n, oscillator_problem
+from hdt_benchmark.oscillator import DT_S, SIGMA_M, TRUTH, WRONG_GUESS, force_n
+from hdt_benchmark.oscillator_kernels import oscillator_kernels
 from hdt_benchmark.spring_mass_damper import SPRING_MASS_DAMPER
 from hdt_core.estimation import Estimate, estimators
+from hdt_core.estimation.compiled import COMPILED
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.problem import Problem
 from hdt_core.physics.model import Array
@@ -32,14 +34,16 @@ def position_m(amplitude: float, cubic_n_m3: float) -> Array:
 
 def record_of(amplitude: float, cubic_n_m3: float, seed: int) -> Problem:
     """Build the problem of one noisy record; its model has no cubic force."""
-    noise = SIGMA_M * np.random.default_rng(seed).standard_normal(force_n().size)
+    force, noise = amplitude * force_n(), SIGMA_M * np.random.default_rng(seed).standard_normal(force_n().size)
+    measured, mass_kg = position_m(amplitude, cubic_n_m3) + noise, SPRING_MASS_DAMPER.nominal["mass_kg"]
     return declared_problem(
         SPRING_MASS_DAMPER,
-        oscillator_problem(0).names,
-        {"force_n": amplitude * force_n()},
-        {"measured_m": position_m(amplitude, cubic_n_m3) + noise},
+        ("damping_n_s_m", "stiffness_n_m"),
+        {"force_n": force},
+        {"measured_m": measured},
         prior=WRONG_GUESS,
         dt_s=DT_S,
+        kernels=oscillator_kernels(force, measured, SIGMA_M, DT_S, mass_kg) if COMPILED else None,
     )
 
 

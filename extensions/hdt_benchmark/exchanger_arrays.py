@@ -97,19 +97,19 @@ def _fit(curve: Curve, samples: Columns, first: Array, second: Array, starts: In
         value, slope = curve(theta, middle[0], middle[1])
         theta = _take_step(theta, (middle[2] - value) / slope)
     information, chi2 = np.zeros(n_flights), np.zeros(n_flights)
-    steps, going = np.zeros(n_flights, np.int64), n_used > 0
+    steps, is_active = np.zeros(n_flights, np.int64), n_used > 0
     for _ in range(MOST_STEPS):
         value, slope = curve(theta[flight], first, second)
         residual = effectiveness - value
-        information = np.where(going, total(heavy * slope**2), information)
-        chi2 = np.where(going, total(heavy * residual**2), chi2)
-        step = np.where(going, total(heavy * slope * residual) / np.maximum(information, 1e-300), 0.0)
-        theta = np.where(going, _take_step(theta, step), theta)
-        steps += going
-        going &= np.abs(step) > SETTLED
-        if not going.any():
+        information = np.where(is_active, total(heavy * slope**2), information)
+        chi2 = np.where(is_active, total(heavy * residual**2), chi2)
+        step = np.where(is_active, total(heavy * slope * residual) / np.maximum(information, 1e-300), 0.0)
+        theta = np.where(is_active, _take_step(theta, step), theta)
+        steps += is_active
+        is_active &= np.abs(step) > SETTLED
+        if not is_active.any():
             break
-    code = np.where(n_used == 0, NOT_IDENTIFIABLE, np.where(going, MAX_STEPS, CONVERGED))
+    code = np.where(n_used == 0, NOT_IDENTIFIABLE, np.where(is_active, MAX_STEPS, CONVERGED))
     return np.where(n_used > 0, theta, np.nan), information, chi2, n_used, steps, code
 
 

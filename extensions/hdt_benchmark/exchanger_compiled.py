@@ -84,8 +84,8 @@ def _measured_terms(hot_in: Array, hot_out: Array, cold_in: Array, weight: Array
     for i in range(len(hot_in)):
         span = hot_in[i] - cold_in[i]
         finite = (first[i] < np.inf) & (second[i] < np.inf) & (abs(effectiveness[i]) < np.inf) & (weight[i] < np.inf)
-        telling = (first[i] > 0.0) & (second[i] > 0.0) & (span >= LEAST_SPAN_K) & (weight[i] > 0.0)
-        heavy[i] = weight[i] * span * span if finite & telling else 0.0
+        is_informative = (first[i] > 0.0) & (second[i] > 0.0) & (span >= LEAST_SPAN_K) & (weight[i] > 0.0)
+        heavy[i] = weight[i] * span * span if finite & is_informative else 0.0
 
 
 @vectorised
@@ -147,7 +147,7 @@ def _fits(crossflow: bool, samples: Columns, clean: Array, starts: Integers) -> 
         widest = max(widest, starts[min(f + LANES, n_flights)] - starts[f])
     lanes, middle, flat = np.empty((4, longest, LANES)), np.empty((4, 1, LANES)), np.empty((4, widest))
     theta, scale, peak, sums = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty((3, LANES))
-    going = np.empty(LANES, np.bool_)
+    is_active = np.empty(LANES, np.bool_)
     mean, information, chi2 = np.full(n_flights, np.nan), np.zeros(n_flights), np.zeros(n_flights)
     n_used, steps = np.zeros(n_flights, np.int64), np.zeros(n_flights, np.int64)
     code = np.full(n_flights, NOT_IDENTIFIABLE)
@@ -166,7 +166,7 @@ def _fits(crossflow: bool, samples: Columns, clean: Array, starts: Integers) -> 
             at = first + min(f, together - 1)
             length = starts[at + 1] - starts[at] if f < together else 0
             n_samples, peak[f] = _lay_down(flat, starts[at] - a, length, rows, f, lanes)
-            theta[f], going[f] = 0.0, n_samples > 0
+            theta[f], is_active[f] = 0.0, n_samples > 0
             if f < together:
                 n_used[first + f] = n_samples
         _middle(rows, lanes, middle)
@@ -176,19 +176,19 @@ def _fits(crossflow: bool, samples: Columns, clean: Array, starts: Integers) -> 
                 theta[f] = _take_step(theta[f], sums[0, f] / sums[1, f])
         for _ in range(MOST_STEPS):
             sums_of_step(crossflow, rows, lanes, theta, sums, scale, peak)
-            any_going = False
+            any_active = False
             for f in range(together):
-                if going[f]:
+                if is_active[f]:
                     step = sums[0, f] / max(sums[1, f], 1e-300)
                     theta[f] = _take_step(theta[f], step)
                     information[first + f], chi2[first + f] = sums[1, f], sums[2, f]
                     steps[first + f] += 1
-                    going[f] = abs(step) > SETTLED
-                    any_going = any_going or going[f]
-            if not any_going:
+                    is_active[f] = abs(step) > SETTLED
+                    any_active = any_active or is_active[f]
+            if not any_active:
                 break
         for f in range(together):
             if n_used[first + f] > 0:
                 mean[first + f] = theta[f]
-                code[first + f] = MAX_STEPS if going[f] else CONVERGED
+                code[first + f] = MAX_STEPS if is_active[f] else CONVERGED
     return mean, information, chi2, n_used, steps, code

@@ -31,20 +31,20 @@ def fits(columns: Columns, starts: Integers, pace: tuple[float, float]) -> Fit:
     heavy = np.where(row < lengths, weight, 0.0)
     inputs = (hot_flow, ram_flow, hot_in, cold_in)
     n_used = np.count_nonzero(heavy, axis=0).astype(np.int64)
-    theta, going = _start(inputs, hot_out, heavy), n_used > 0
+    theta, is_active = _start(inputs, hot_out, heavy), n_used > 0
     information, chi2, steps = np.zeros(n_flights), np.zeros(n_flights), np.zeros(n_flights, np.int64)
     for _ in range(MOST_STEPS):
         hot, hot_by = _march(np.exp(theta), inputs, pace)
         residual = hot_out - hot
-        information = np.where(going, (heavy * hot_by**2).sum(0), information)
-        chi2 = np.where(going, (heavy * residual**2).sum(0), chi2)
-        step = np.where(going, (heavy * hot_by * residual).sum(0) / np.maximum(information, 1e-300), 0.0)
-        theta = np.where(going, take_step(theta, step), theta)
-        steps += going
-        going &= np.abs(step) > SETTLED
-        if not going.any():
+        information = np.where(is_active, (heavy * hot_by**2).sum(0), information)
+        chi2 = np.where(is_active, (heavy * residual**2).sum(0), chi2)
+        step = np.where(is_active, (heavy * hot_by * residual).sum(0) / np.maximum(information, 1e-300), 0.0)
+        theta = np.where(is_active, take_step(theta, step), theta)
+        steps += is_active
+        is_active &= np.abs(step) > SETTLED
+        if not is_active.any():
             break
-    code = np.where(n_used == 0, NOT_IDENTIFIABLE, np.where(going, MAX_STEPS, CONVERGED))
+    code = np.where(n_used == 0, NOT_IDENTIFIABLE, np.where(is_active, MAX_STEPS, CONVERGED))
     return np.where(n_used > 0, theta, np.nan), information, chi2, n_used, steps, code
 
 

@@ -14,22 +14,22 @@ DT_S, N_SAMPLES, SIGMA_M = 0.01, 1001, 0.05
 TRUTH = np.array([0.5, 2.0])
 """Damping [N s/m] and stiffness [N/m]."""
 WRONG_GUESS = Belief(np.array([0.2, 1.0]), np.diag([0.3, 1.0]) ** 2)
-"""Where every estimator starts, and how wrong it is told the start may be: a standard deviation, truly."""
+"""Initial guess of every estimator, wrong by one of its standard deviations."""
 
 
 def force_n() -> Array:
-    """Sine of 0.5 Hz and amplitude 1 N over ten seconds. (1001,)"""
+    """Compute the force: a sine of 0.5 Hz and amplitude 1 N over ten seconds. (1001,)"""
     force: Array = np.sin(2.0 * np.pi * 0.5 * DT_S * np.arange(N_SAMPLES))
     return force
 
 
 def true_position_m() -> Array:
-    """Noise-free position, by forward Euler from rest. (1001,) [m]"""
+    """Compute the noise-free position, by forward Euler from rest. (1001,) [m]"""
     return euler_position_m(force_n(), DT_S, *TRUTH)
 
 
 def oscillator_problem(seed: int, *, compiled: bool = True) -> Problem:
-    """Record with the noise of `seed`; with compiled kernels where numba is installed, or as declared."""
+    """Build the problem of a record with the noise of `seed`; with compiled kernels where numba is installed, or as declared."""
     measured = true_position_m() + SIGMA_M * np.random.default_rng(seed).standard_normal(N_SAMPLES)
     mass, quick = SPRING_MASS_DAMPER.nominal["mass_kg"], compiled and COMPILED
     return declared_problem(

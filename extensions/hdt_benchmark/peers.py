@@ -30,7 +30,7 @@ def installed(rounds: int = 5, records: int = 2, n_flights: int = 4000) -> list[
 
 
 def fit_claim(rounds: int, records: int) -> Claim:
-    """Least squares on the oscillator: same start, same bounds, no prior.
+    """Compare least squares on the oscillator: same start, same bounds, no prior.
 
     SciPy's own stop leaves a few 1e-7: how far apart the optima are shows in the last line, tolerances tightened.
     """
@@ -49,7 +49,7 @@ def fit_claim(rounds: int, records: int) -> Claim:
 
 
 def filter_claim(rounds: int, records: int) -> Claim:
-    """One pass of the extended Kalman filter over states and parameters, no smoother on either side."""
+    """Compare one pass of the extended Kalman filter over states and parameters, no smoother on either side."""
     problems, ours = [oscillator_problem(seed) for seed in range(records)], ExtendedKalman(smoother_passes=0)
     peer = "filterpy in a Python loop"
     return race(
@@ -61,7 +61,7 @@ def filter_claim(rounds: int, records: int) -> Claim:
 
 
 def conductance_claim(rounds: int, n_flights: int = FLIGHTS) -> Claim:
-    """Health of a fleet: ln UA over clean UA, exact cross-flow effectiveness."""
+    """Compare the health of a fleet: ln UA over clean UA, exact cross-flow effectiveness."""
     samples, clean = snapshots(n_flights, POINTS)
     few = first(samples, n_flights // 5)
     runs = {
@@ -73,12 +73,12 @@ def conductance_claim(rounds: int, n_flights: int = FLIGHTS) -> Claim:
 
 
 def over(problems: list[Problem], fit: Fit) -> Candidate:
-    """All the records, one after the other."""
+    """Fit all records in turn."""
     return Candidate(lambda: np.array([fit(problem) for problem in problems]), len(problems))
 
 
 def snapshots(n_flights: int, points: int) -> tuple[ExchangerSamples, np.ndarray]:
-    """A fleet's cruise snapshots: cross-flow truth, losses of 0 to 40 %, 0.5 K noise."""
+    """Simulate a fleet's cruise snapshots: cross-flow truth, losses of 0 to 40 %, 0.5 K noise."""
     rng = np.random.default_rng(1)
     n = n_flights * points
 
@@ -98,7 +98,7 @@ def snapshots(n_flights: int, points: int) -> tuple[ExchangerSamples, np.ndarray
 
 
 def first(samples: ExchangerSamples, n_flights: int) -> ExchangerSamples:
-    """The first flights of a batch."""
+    """Select the first flights of a batch."""
     end = samples.starts[n_flights]
     hot, ram, hot_in, hot_out, cold_in, weight = (column[:end] for column in samples.columns())
     return ExchangerSamples(hot, ram, hot_in, hot_out, cold_in, weight, samples.starts[: n_flights + 1])
@@ -145,7 +145,7 @@ def _filterpy(problem: Problem) -> np.ndarray:
 def _misses_k(
     theta: np.ndarray, clean_ntu: np.ndarray, ratio: np.ndarray, span_k: np.ndarray, cooled_k: np.ndarray
 ) -> np.ndarray:
-    """Twice what the model cools too much at each sample, theta being ln UA over clean UA."""
+    """Compute twice the excess of the modelled cooling at each sample; theta is ln UA over clean UA. [K]"""
     ntu = np.exp(theta[0]) * clean_ntu
     return np.asarray(2.0 * (span_k * crossflow_effectiveness(ntu, ntu * ratio) - cooled_k))
 

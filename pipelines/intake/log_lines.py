@@ -40,8 +40,8 @@ def parse_list(
     """
     text = open_text(content, contract)
     lines = to_columns([text], ())
-    nothing_happened = () if n_key else ("no_rows",)  # an aircraft without messages has a header alone
-    faults = [f for f in text.faults if f.reason not in nothing_happened]
+    harmless = () if n_key else ("no_rows",)  # an aircraft without messages has a header alone
+    faults = [f for f in text.faults if f.reason not in harmless]
     good: dict[Row, int] = {}
     for row, words, moment in _words(lines, contract, time, faults):
         result = validate(words, moment)
