@@ -29,7 +29,7 @@ def true_position_m() -> Array:
 
 
 def oscillator_problem(seed: int, *, compiled: bool = True) -> Problem:
-    """Build the problem of a record with the noise of `seed`; with compiled kernels where numba is installed, or as declared."""
+    """Build the problem of a record with the noise of `seed`; its kernels are compiled where numba is installed."""
     measured = true_position_m() + SIGMA_M * np.random.default_rng(seed).standard_normal(N_SAMPLES)
     mass, quick = SPRING_MASS_DAMPER.nominal["mass_kg"], compiled and COMPILED
     return declared_problem(
