@@ -10,9 +10,7 @@ import typer
 
 from pipelines.cli.base import AsJson, HomeDir, StopError, app, err, home_folder, out
 
-trial = typer.Typer(
-    no_args_is_help=True, help="Record each night's alerts and prognoses tamper-evidently and evaluate them."
-)
+trial = typer.Typer(no_args_is_help=True, help="Record each night tamper-evidently and evaluate it.")
 app.add_typer(trial, name="trial")
 
 

@@ -27,7 +27,7 @@ FLOW_CLEAN = "ram flow that of a clean duct: no blockage"
 
 MARGIN = (
     "With the ram door full open the outlet would stand {margin} its level in the hottest fifth of the last flight, "
-    "{hot_day} it on a hot day (ISA + 15 K); message 21-52-HXTEMP within 300 flights with probability {odds}, believed "
+    "{hot_day} it on a hot day (ISA + 15 K); message 21-52-HXTEMP within 300 flights with probability {odds}, likely "
     "since {since}"
 )
 BELOW_BY = "{k} K below"
@@ -45,14 +45,14 @@ MARGIN_COSTS = "Waiting costs the message on a hot day, and an exchanger that is
 
 COMPRESSOR = (
     "Compressor efficiency (cc_efficiency_loss) lost {loss} against expectation, {sigma} times its uncertainty, "
-    "believed since "
+    "likely since "
     "{since}; worn at all (above {limit} %) with probability {odds}"
 )
 COMPRESSOR_ELSE = "a drifting exit temperature sensor"
 COMPRESSOR_COSTS = "Waiting costs compressor power and, in the end, a flow message (21-51-CCFLOW)"
 SMALLER_DIAMETER = (
     "Effective diameter (cc_effective_diameter_m) is {share} % below this unit's own first flights, {sigma} times the "
-    "scatter of a flight and summed up beyond doubt (CUSUM), believed since {since}"
+    "scatter of a flight and summed up beyond doubt (CUSUM), likely since {since}"
 )
 NO_EFFICIENCY = "no efficiency to compare with: the exit temperature is not recorded"
 SMALLER_DIAMETER_ELSE = "a drifting speed or pressure sensor"

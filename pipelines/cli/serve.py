@@ -24,7 +24,7 @@ def serve(
     ] = None,
     header: Annotated[str, typer.Option(help="Header with the name that the proxy writes.")] = "X-Remote-User",
 ) -> None:
-    """Serve the shift's page: units by urgency, their cards, and cases.
+    """Serve the shift's page: units by urgency, and their cases.
 
     The address it prints holds the token to sign in with, a new one at each start. Behind the site's proxy (--proxy)
     people have their own names; `roles.toml` in the home sets their roles.

@@ -60,7 +60,7 @@ def test_severity_and_evidence_in_figures():
         assert [w.role for w in evidence.corroborations] == ["Supports" if severity == "high" else "Neutral", "Neutral"]
         text = evidence.text()
         assert f"{UNIT.lost} ({UNIT.loss}) {100 * loss:.0f} %" in text
-        assert f"{loss / 0.01:.0f} sigma; above {100 * WARN:.0f} % since F07" in text
+        assert f"{loss / 0.01:.0f} times its uncertainty; above {100 * WARN:.0f} % since F07" in text
         assert "2.1 points more every ten flights" in text
         assert "10 points came within three flights" in text
         assert f"it fails at about {100 * FAILS:.0f} %" in text

@@ -105,7 +105,7 @@ def test_a_compressor_in_figures():
     }  # fmt: skip
     evidence = wording.compressor(facts, "F07")
     assert (
-        "8.2 % (6.6 to 9.8) against expectation, 8 times its uncertainty, believed since F07; worn at all (above 5 %)"
+        "8.2 % (6.6 to 9.8) against expectation, 8 times its uncertainty, likely since F07; worn at all (above 5 %)"
         in evidence.finding
     )
     roles = [(w.role, w.text[:40]) for w in evidence.corroborations]

@@ -67,14 +67,16 @@ def test_work_since_the_last_flight_is_named_and_the_margin_before_it_is_not(fac
 
 
 @pytest.mark.parametrize(
-    ("diagnosis", "action", "to_do"),
+    ("diagnosis", "action", "to_do", "effort"),
     [
-        ("HX_FOULING", "Plan a wash (ATA 21-52); look first", "Wash"),
-        ("HX_FOULING", "Find the cause upstream. Only then: plan a wash (ATA 21-52)", "Find the cause upstream"),
-        ("HX_LOW_MARGIN", "Not the core: check target (ATA 21-53, rigging)", "Not the core: check target"),
+        ("HX_FOULING", "Plan a wash (ATA 21-52); look first", "Wash", "120 min, 2 people"),
+        ("HX_FOULING", "Find the cause upstream. Only then: plan a wash (ATA 21-52)", "Find the cause upstream",
+         "45 min, 1 person"),
+        ("HX_LOW_MARGIN", "Not the core: check target (ATA 21-53, rigging)", "Not the core: check target",
+         "90 min, 2 people"),
     ],
 )  # fmt: skip
-def test_one_action_is_the_cheapest_choice_unless_the_cause_lies_elsewhere(facts, diagnosis, action, to_do):
+def test_one_action_is_the_cheapest_choice_unless_the_cause_lies_elsewhere(facts, diagnosis, action, to_do, effort):
     key = facts["ranking"].select("operator", "tail", "pack").head(1).row(0, named=True)
     alert = key | {"component": "HX", "diagnosis": diagnosis, "recommended_action": action, "raised_at": facts.until()}
     stop = key | {"component": "HX", "choice": "wash", "place": 1, "expected_cost": 3500.0, "defer_cost": 28700.0}
@@ -82,4 +84,6 @@ def test_one_action_is_the_cheapest_choice_unless_the_cause_lies_elsewhere(facts
         "alerts": pl.DataFrame([alert | {"closed_at": None}], schema_overrides={"closed_at": pl.Datetime}),
         "stops": pl.DataFrame([stop | {"currency": "USD"}]),
     }
-    assert first_screen(facts, frames, urgency="act")["to_do"] == (to_do, "3,500 USD to expect, 28,700 deferred")
+    assert first_screen(facts, frames, urgency="act")["to_do"] == (
+        to_do, f"{effort}; 3,500 USD to expect, 28,700 deferred",
+    )  # fmt: skip
