@@ -55,10 +55,10 @@ class Genetic:
         """Return the fittest individual; covariance from the information at that point."""
         if find_spec("deap") is None:
             method = f"{self.name}: differential evolution, DEAP is not installed"
-            stand_in = DifferentialEvolution(
+            fallback = DifferentialEvolution(
                 method, self.population, self.max_generations, self.agreement, self.polish, self.seed
             )
-            return stand_in.estimate(problem)
+            return fallback.estimate(problem)
         lower, upper = problem.search_box
         free = upper > lower
         if not free.any():
@@ -66,7 +66,7 @@ class Genetic:
         before = random.getstate()  # DEAP draws from the module's generator
         random.seed(self.seed)
         try:
-            best, objective, n_evals, agreed = self._evolve(problem, free, lower[free], upper[free])
+            best, objective, n_evals, has_converged = self._evolve(problem, free, lower[free], upper[free])
         finally:
             random.setstate(before)
         theta = problem.origin.copy()
@@ -75,7 +75,7 @@ class Genetic:
             return conclude(problem, theta * np.nan, "diverged", n_evals, method=self.name)
         if self.polish:
             return settle(problem, theta, n_evals, method=self.name)
-        return conclude(problem, theta, "converged" if agreed else "max_steps", n_evals, method=self.name)
+        return conclude(problem, theta, "converged" if has_converged else "max_steps", n_evals, method=self.name)
 
     def _evolve(
         self, problem: Problem, free: npt.NDArray[np.bool_], lower: Array, upper: Array
@@ -98,19 +98,19 @@ class Genetic:
         n = self.population * lower.size + (self.population * lower.size) % 2
         genes = lower + (upper - lower) * np.random.default_rng(self.seed).random((n, lower.size))
         genes[0] = problem.origin[free]
-        people = [Individual(row) for row in genes]
+        population = [Individual(row) for row in genes]
         for generation in range(self.max_generations + 1):
             if generation:
-                champion = tools.selBest(people, 1)
-                parents = tools.selTournament(people, n - 1, tournsize=3)
-                people = champion + algorithms.varAnd(parents, toolbox, self.crossover, self.mutation)
-            new = [person for person in people if not person.fitness.valid]
+                champion = tools.selBest(population, 1)
+                parents = tools.selTournament(population, n - 1, tournsize=3)
+                population = champion + algorithms.varAnd(parents, toolbox, self.crossover, self.mutation)
+            new = [individual for individual in population if not individual.fitness.valid]
             objectives = fitness(problem, free, np.array(new, float).reshape(len(new), lower.size))
-            for person, objective in zip(new, objectives.tolist(), strict=True):
-                person.fitness.values = (objective,)
+            for individual, objective in zip(new, objectives.tolist(), strict=True):
+                individual.fitness.values = (objective,)
             n_evals += len(new)
-            values = [person.fitness.values[0] for person in people]
+            values = [individual.fitness.values[0] for individual in population]
             if max(values) - min(values) < self.agreement:
                 break
         best = int(np.argmin(values))
-        return np.array(people[best]), values[best], n_evals, max(values) - min(values) < self.agreement
+        return np.array(population[best]), values[best], n_evals, max(values) - min(values) < self.agreement

@@ -38,22 +38,22 @@ class GradientDescent:
             return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
         at, history, step = quadratic_model(problem, problem.origin, 1), [first], 1.0
         scale, lowest = _scale(at), at  # scaled once, at the start
-        reached: Status = "max_steps"
+        status: Status = "max_steps"
         for _ in range(self.max_steps):
             if distance_to_optimum(at, problem.bounds) < 0.5 * CLOSE:
-                reached = "converged"
+                status = "converged"
                 break
             move, objective, n_tries = _descend(
                 problem, at.theta, at.gradient, scale, step=step, ceiling=max(history[-MEMORY:])
             )
             later = quadratic_model(problem, at.theta + move, at.n_evals + n_tries)
-            curved = float(move @ (later.gradient - at.gradient))
-            step = float(np.clip((move / scale) @ (move / scale) / curved, 1e-6, 1e6)) if curved > 0.0 else 1.0
+            curvature = float(move @ (later.gradient - at.gradient))
+            step = float(np.clip((move / scale) @ (move / scale) / curvature, 1e-6, 1e6)) if curvature > 0.0 else 1.0
             at = later
             lowest = at if at.objective <= lowest.objective else lowest
             history.append(objective)
-        best = at if reached == "converged" else lowest
-        return conclude(problem, best.theta, reached, at.n_evals, point=best, method=self.name)
+        best = at if status == "converged" else lowest
+        return conclude(problem, best.theta, status, at.n_evals, point=best, method=self.name)
 
 
 def _descend(

@@ -67,7 +67,7 @@ def fmu_over_time(
     own = [p for p in params if p.name not in losses]
     unit.check(own, ("parameter",))
     unit.check(outputs, ("output", "local"), ("Real", "Integer"))
-    run = _Run(unit, [unit.reference(p.name) for p in own], [unit.theirs(s.name) for s in outputs])
+    run = _Run(unit, [unit.reference(p.name) for p in own], [unit.fmu_name(s.name) for s in outputs])
 
     def over_time(**values: Any) -> tuple[Array, ...]:
         time_s = values.pop(TIME.name)
@@ -173,14 +173,14 @@ class _Journey:
         return False
 
     def _step(self, to_s: float) -> None:
-        crossed, _, self._now_s = self._solver.step(self._now_s, to_s)
+        is_event, _, self._now_s = self._solver.step(self._now_s, to_s)
         self.unit.fmu.setTime(self._now_s)
-        needs_event, ended = False, False
+        needs_event, is_over = False, False
         if self.unit.description.modelExchange.needsCompletedIntegratorStep:
-            needs_event, ended = self.unit.fmu.completedIntegratorStep()
-        if ended:
+            needs_event, is_over = self.unit.fmu.completedIntegratorStep()
+        if is_over:
             self._due_s = np.nan
-        elif crossed or needs_event:
+        elif is_event or needs_event:
             self._event()
 
     def _event(self) -> None:

@@ -55,13 +55,13 @@ class FmuUnit:
         weakref.finalize(self, self.fmu.freeInstance)
         self._state_names = [d.variable.derivative.name for d in self.description.derivatives]
 
-    def theirs(self, name: str) -> str:
+    def fmu_name(self, name: str) -> str:
         """Return the FMU's name for a declared name."""
         return self._names.get(name, name)
 
     def reference(self, name: str) -> int:
         """Return the FMU's value reference of a declared variable."""
-        return int(self.variables[self.theirs(name)].valueReference)
+        return int(self.variables[self.fmu_name(name)].valueReference)
 
     def states(self) -> tuple[State, ...]:
         """Return states in the FMU's order, with valid Python names and initial values."""
@@ -69,9 +69,9 @@ class FmuUnit:
         initial = (c_double * len(self._state_names))()
         if self._state_names:
             self.fmu.getContinuousStates(initial, len(initial))
-        declared = {theirs: ours for ours, theirs in self._names.items()}
+        names = {fmu_name: name for name, fmu_name in self._names.items()}
         return tuple(
-            State(declared.get(n, re.sub(r"\W", "_", n)), self.variables[n].unit or "-", value)
+            State(names.get(n, re.sub(r"\W", "_", n)), self.variables[n].unit or "-", value)
             for n, value in zip(self._state_names, initial, strict=True)
         )
 
@@ -81,10 +81,10 @@ class FmuUnit:
         """Raise ValueError where a declared name is not such a variable of the FMU or has another unit."""
         fit = {n: v for n, v in self.variables.items() if v.causality in causalities and v.type in types}
         for item in declared:
-            variable = fit.get(self.theirs(item.name))
+            variable = fit.get(self.fmu_name(item.name))
             if variable is None:
                 kinds, has = " or ".join(causalities), ", ".join(sorted(fit))
-                raise ValueError(f"{self.path}: {self.theirs(item.name)} is no {kinds}; it has {has}")
+                raise ValueError(f"{self.path}: {self.fmu_name(item.name)} is no {kinds}; it has {has}")
             if variable.unit is not None and variable.unit != item.unit:
                 raise ValueError(f"{self.path}: {item.name} is in {variable.unit}, declared in {item.unit}")
 
@@ -128,9 +128,9 @@ def apply_losses(values: Mapping[str, Any], losses: Mapping[str, str]) -> dict[s
 
 def check_losses(losses: Mapping[str, str], params: Sequence[Param]) -> None:
     """Raise ValueError where a loss or its target is not a declared parameter."""
-    astray = sorted({*losses, *losses.values()} - {p.name for p in params})
-    if astray:
-        raise ValueError(f"losses name {', '.join(astray)}, declared as no parameter")
+    unknown = sorted({*losses, *losses.values()} - {p.name for p in params})
+    if unknown:
+        raise ValueError(f"losses name {', '.join(unknown)}, declared as no parameter")
 
 
 def _fmpy() -> ModuleType:
