@@ -1,6 +1,6 @@
 """The paper's comparison on its own parts: `python -m benchmarks.methods [--seeds N] [--write]`.
 
-Heat exchanger and compressor of simulated packs are calibrated on twenty flights and tracked over the next forty by
+Heat exchanger and compressor of simulated packs are calibrated on twelve flights and tracked over the next eighteen by
 each method by name, as a declared component is: the design with its declared priors, then every flight's loss, then
 the filter of wear. `alone` is the method's own answer, `polished` ends with least squares. Truth is the simulator's.
 """
@@ -29,8 +29,8 @@ from hdt_core.tracking.component_units import design_offset
 from hdt_core.tracking.sequential import flight_by_flight
 
 METHODS = ("nls", "pso", "ekf", "ukf", "pinn")
-SIZE = FleetSettings(operators=1, tails=1, flights=60, cpl_share=0.0)
-CALIBRATED_ON = 20
+SIZE = FleetSettings(operators=1, tails=1, flights=30, cpl_share=0.0)
+CALIBRATED_ON = 12
 KEY = ["tail", "flight_id", "pack"]
 TRUTH = {"HX": 1.0 - pl.col("apparent_ua_ratio"), "CC": pl.col("cc_eff_loss")}
 
