@@ -1,10 +1,11 @@
-"""The paper's comparison on its own parts: `python -m benchmarks.methods [--seeds N] [--write]`.
+"""The paper's comparison on its own parts: `python -m benchmarks.methods [--seeds N]`.
 
 Heat exchanger and compressor of simulated packs are calibrated on twelve flights and tracked over the next eighteen by
 each method by name, as a declared component is: the design with its declared priors, then every flight's loss, then
 the filter of wear. `alone` is the method's own answer, `polished` ends with least squares. Truth is the simulator's.
 """
 
+import argparse
 import time
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -13,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.chain import admit_fleet
-from benchmarks.harness import arguments, markdown, show
+from benchmarks.harness import markdown
 from benchmarks.legs import fleet_of
 from benchmarks.promise import unpolished
 from hdt_core.calibration.arrays import complete_air_data, cruise_samples, flights_of
@@ -92,7 +93,7 @@ def row(component: str, method: str, ending: str, results: list[Result]) -> list
 
 def main() -> None:
     """Print the table."""
-    parser = arguments(__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=4)
     options = parser.parse_args()
     parts = [pack for seed in range(102, 102 + options.seeds) for pack in packs(seed)]
@@ -107,7 +108,7 @@ def main() -> None:
     note = (
         f"{len(parts)} parts of {options.seeds} aircraft; errors are means over {SIZE.flights - CALIBRATED_ON} flights."
     )
-    show("methods on the real problem", f"{markdown(lines)}\n\n{note}", write=options.write)
+    print(f"{markdown(lines)}\n\n{note}")
 
 
 if __name__ == "__main__":
