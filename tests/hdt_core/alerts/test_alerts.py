@@ -61,8 +61,7 @@ def replace(maintenance: pl.DataFrame, done_on: date, component: str, pack: int 
 def says_everything(out: pl.DataFrame) -> bool:
     """By how many times its uncertainty, since when, what else, what waiting costs; the ATA task beside it."""
     words = pl.all_horizontal(
-        pl.col("evidence").str.contains(w)
-        for w in ("times (its|the) |of its readings|one value", "since", "Else:")
+        pl.col("evidence").str.contains(w) for w in ("times (its|the) |of its readings|one value", "since", "Else:")
     )
     cost = pl.col("evidence").str.contains("[Ww]aiting|Until|can't hold")
     return bool(out.select((words & cost & pl.col("recommended_action").str.contains("ATA 21-")).all()).item())
