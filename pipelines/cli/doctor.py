@@ -66,7 +66,7 @@ def examine(landing: Path | None, home: Path | None) -> Iterator[Check]:
 def _packages() -> Iterator[Check]:
     needed = ("dagster", "polars", "duckdb", "scipy", "filterpy", "pyarrow", "scikit-learn")
     slower = "not installed, fits use the slower NumPy path; pip install 'hybrid-digital-twin[speed]'"
-    for name, without in dict.fromkeys(needed, "missing; install the project again").items() | {("numba", slower)}:
+    for name, without in {**dict.fromkeys(needed, "missing; install the project again"), "numba": slower}.items():
         try:
             yield Check(name, True, importlib.metadata.version(name))
         except importlib.metadata.PackageNotFoundError:

@@ -49,10 +49,10 @@ def serve(
     if behind and not people:
         raise StopError(f"nobody has a role yet; name people below [people] in {where / FILE}")
     with _listening(listen, port) as sock:
-        read_ahead(where)
+        board = read_ahead(where)
         address = f"http://127.0.0.1:{sock.getsockname()[1]}/"
         out.print(f"Cases: {address}{'' if behind else f'?token={sign_in.token}'}")
-        application(where, LOCAL | set(name or ()), behind or sign_in).serve(sock)
+        application(where, LOCAL | set(name or ()), behind or sign_in, board).serve(sock)
 
 
 @app.command()

@@ -54,7 +54,8 @@ def work_orders(con: duckdb.DuckDBPyConnection, tasks: Tasks, operator: str | No
 def write_orders(orders: pl.DataFrame, folder: Path, until: str) -> None:
     """Write `orders.csv`, `orders.json` and `orders.html` into a folder."""
     rows = json.loads(orders.write_json())
-    page = PAGES.get_template("orders.html").render(orders=rows, until=until)
+    works = [Task(**{name: row[name] for name in WORK}).parts() for row in rows]
+    page = PAGES.get_template("orders.html").render(orders=list(zip(rows, works, strict=True)), until=until)
     files = {"orders.csv": safe(orders).write_csv(), "orders.json": json.dumps(rows, indent=1), "orders.html": page}
     for name, text in files.items():
         with replacing(folder / name) as file:

@@ -20,7 +20,7 @@ select
     strftime(a.closed_at at time zone 'UTC', '%Y-%m-%d') as closed_on,
     a.recommended_action as action, a.evidence_now as evidence,
     a.now_rul_flights as rul_flights, a.now_rul_low as rul_low, a.now_rul_high as rul_high,
-    a.now_p_event_50 as p_event_50, a.recommended_action, n.choice, p.place, o.outcome, o.work_orders
+    a.now_p_event_50 as p_event_50, n.choice, p.place, o.outcome, o.work_orders
 from alert_states as a
 left join alert_outcomes as o on a.alert_id = o.alert_id
 left join open_alerts as p on a.alert_id = p.alert_id
@@ -58,7 +58,10 @@ from quarantine where file is not null and scope <> 'note' group by file order b
 def read_state(con: duckdb.DuckDBPyConnection, tasks: Tasks | None = None) -> State:
     """Read the state of a night from its catalog, with the work of each alert where `tasks` has it."""
     ((until,),) = con.execute(_UNTIL).fetchall()
-    alerts = {row["alert_id"]: row | {"work": work_text(tasks or {}, row)} for row in _rows(con, _ALERTS)}
+    alerts = {
+        row["alert_id"]: row | {"work": work_text(tasks or {}, row | {"recommended_action": row["action"]})}
+        for row in _rows(con, _ALERTS)
+    }
     return {
         "until": until,
         "alerts": {name: row for name, row in alerts.items() if row["closed_on"] is None},

@@ -10,8 +10,8 @@ from bokeh.models import BasicTicker, BasicTickFormatter, Range1d
 from bokeh.plotting import figure
 from bokeh.resources import Resources
 
-BLUE, ORANGE, GREEN, VERMILLION, PURPLE, SKY, GREY = (
-    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#B0578D", "#56B4E9", "#6b6b6b",
+BLUE, ORANGE, GREEN, VERMILLION, SKY, GREY = (
+    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#6b6b6b",
 )  # fmt: skip
 """Colours of Okabe and Ito; the page replaces them by lighter ones on a dark ground."""
 INK, LINE = "#1a1a1a", "#d5d5d5"

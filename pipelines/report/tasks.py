@@ -44,13 +44,17 @@ class Task:
         people = several("{n} person", "{n} people", self.people) if self.people else ""
         return ", ".join(filter(None, (_("{n} min", n=self.minutes) if self.minutes else "", people)))
 
-    def text(self) -> str:
+    def parts(self) -> list[str]:
         """Format effort, task number, zone, part and tools, as far as they are declared."""
         task = _("task {number}", number=self.task) if self.minutes and self.task else self.task
         zone = _("zone {zone}", zone=self.zone) if self.zone else ""
         part = _("part: {part}", part=self.part) if self.part else ""
         tools = _("tools: {tools}", tools=self.tools) if self.tools else ""
-        return "; ".join(filter(None, (self.effort(), task, zone, part, tools)))
+        return list(filter(None, (self.effort(), task, zone, part, tools)))
+
+    def text(self) -> str:
+        """Format the parts in one line."""
+        return "; ".join(self.parts())
 
 
 Tasks = Mapping[tuple[str, str], Task]

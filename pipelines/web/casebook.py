@@ -41,9 +41,9 @@ _READING = threading.Lock()
 _UNREADABLE = (OSError, DatabaseError, duckdb.Error, sqlite3.Error)
 
 
-def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
-    """Build the page of a home, reachable by the host `names` after `sign_in`."""
-    casebook = Casebook(home, with_logout=isinstance(sign_in, LocalToken))
+def application(home: Path, names: Collection[str], sign_in: SignIn, board: Board | None = None) -> Guard:
+    """Build the page of a home, reachable by the host `names` after `sign_in`; `board` may have been read ahead."""
+    casebook = Casebook(board or Board(home), with_logout=isinstance(sign_in, LocalToken))
     routes = [
         Route("/", casebook.list, methods=["GET"]),
         Route("/unit/{card:str}", casebook.unit, methods=["GET"]),
@@ -65,12 +65,14 @@ def _read_shift(home: Path) -> tuple[dict[str, Any], Digest]:
         return _shift_of(home, catalog_version(home))
 
 
-def read_ahead(home: Path) -> None:
+def read_ahead(home: Path) -> Board:
     """Read the night and load what pages need, so that the first answer is as quick as the others."""
+    board = Board(home)
     with suppress(*_UNREADABLE):  # each page reports it
         _read_shift(home)
-        Board(home).read()
+        board.read()
     html_page("message.html", title="Cases", message="")
+    return board
 
 
 def _links(rows: list[Row], cases: list[Row]) -> dict[tuple[Any, ...], str]:
@@ -88,14 +90,14 @@ class Casebook:
 
     Parameters
     ----------
-    home : Path
-        Holds catalog and log of cases.
+    board : Board
+        Cases of the home.
     with_logout : bool
         Whether this server holds the session and can end it.
     """
 
-    def __init__(self, home: Path, with_logout: bool) -> None:
-        self.home, self.board, self.with_logout = home, Board(home), with_logout
+    def __init__(self, board: Board, with_logout: bool) -> None:
+        self.home, self.board, self.with_logout = board.home, board, with_logout
 
     async def list(self, request: Request) -> Response:
         """Show what changed, the units in need of attention and the open cases, or all, of the person's operators."""
