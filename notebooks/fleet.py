@@ -15,7 +15,7 @@ with app.setup:
     import polars.selectors as cs
     from matplotlib.figure import Figure
 
-    from pipelines.report.charts import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
+    from pipelines.report.charts import BLUE, GREEN, GREY, INK, ORANGE, VERMILLION
 
     Z_90 = 1.645
 
@@ -91,8 +91,8 @@ def track(health: pl.DataFrame, alerts: pl.DataFrame, work: pl.DataFrame) -> Fig
     for day in work["done_on"].unique():
         axes.axvline(day, color=GREEN, lw=1)
     for at in alerts["raised_at"]:
-        axes.axvline(at, color=PURPLE, lw=1, ls=":")
-    axes.set(ylabel="% lost", title="Health (work solid green, alerts dotted purple)")
+        axes.axvline(at, color=INK, lw=1, ls=":")
+    axes.set(ylabel="% lost", title="Health (work solid green, alerts dotted black)")
     axes.legend(loc="upper left", frameon=False)
     return figure
 
