@@ -15,7 +15,7 @@ with app.setup:
     import polars.selectors as cs
     from matplotlib.figure import Figure
 
-    from pipelines.report.charts import BLUE, GREEN, GREY, INK, ORANGE, VERMILLION
+    from pipelines.report.plots import BLUE, GREEN, GREY, INK, ORANGE, VERMILLION
 
     Z_90 = 1.645
 

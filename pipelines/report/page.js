@@ -1,6 +1,5 @@
 "use strict";
 (() => {
-  const root = document.documentElement, data = JSON.parse(document.getElementById("data").textContent);
   const find = document.getElementById("find"), found = document.getElementById("found");
   const items = [...document.querySelectorAll("[data-find]")];
 
@@ -66,37 +65,7 @@
     chart.addEventListener("dblclick", () => show(0, 1000));
   }
 
-  // figures: drawn when they come into view, anew when units or ground change
-  const dark = () => matchMedia("(prefers-color-scheme: dark)"), coarse = matchMedia("(pointer: coarse)").matches;
-  const lighter = {
-    "#1a1a1a": "#e6e6e6", "#d5d5d5": "#3d3d3d", "#6b6b6b": "#a8a8a8", "#0072B2": "#56B4E9",
-    "#56B4E9": "#8fd0f5", "#D55E00": "#ff8f4d", "#009E73": "#3fcf9f",
-  };
-  const adapt = (figure) => JSON.parse(JSON.stringify(figure), (_, v) => {
-    if (coarse && v?.name === "Toolbar") v.attributes.active_drag = null; // a finger scrolls the page
-    return (dark().matches && typeof v === "string" && lighter[v]) || v;
-  });
-  const drawNow = async (box) => {
-    const figure = data[`${box.dataset.chart}-${root.dataset.units}`] ?? data[`${box.dataset.chart}-si`];
-    box.replaceChildren();
-    const view = await Bokeh.embed.embed_item(adapt(figure), box);
-    box.view = [...view.roots][0] ?? view;
-  };
-  // one after the other: units or ground may change while a figure is being drawn, and the last to come must stay
-  const draw = (box) => {
-    const now = () => drawNow(box);
-    box.dataset.drawn = "1";
-    return (box.drawing = Promise.resolve(box.drawing).then(now, now));
-  };
-  const boxes = [...document.querySelectorAll("[data-chart]")];
-  const observer = new IntersectionObserver((entries) => {
-    for (const entry of entries) if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
-  }, { rootMargin: "300px" });
-  for (const box of boxes) observer.observe(box);
-  const again = () => boxes.filter((box) => box.dataset.drawn).forEach(draw);
-  dark().addEventListener("change", again); // of its own: one whose `matches` was read first tells of no change
   document.getElementById("units").addEventListener("change", (event) => {
-    root.dataset.units = event.target.value;
-    boxes.filter((box) => box.dataset.drawn && box.dataset.units).forEach(draw);
+    document.documentElement.dataset.units = event.target.value;
   });
 })();

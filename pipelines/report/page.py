@@ -10,7 +10,7 @@ import polars as pl
 from markupsafe import Markup
 
 from hdt_core.alerts.cases import Limits
-from pipelines.report import charts, words
+from pipelines.report import words
 from pipelines.report.cards import tonight_with_cards
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.figures import figures
@@ -45,19 +45,13 @@ def page(
     fouling_limit: float = Limits().fouling,
 ) -> str:
     """Render the document in `units` (of `units.SYSTEMS`), with rows of `thresholds` and the home's `limits`."""
-    paper_figures, data = figures(facts), dict[str, Any]()
-    for k, chart in enumerate(c for f in paper_figures for c in f["charts"]):
-        chart["name"] = f"figure-{k}"
-        data |= {f"figure-{k}-{system}": chart[system] for system in ("si", "us") if system in chart}
-    scripts = [charts.chart_script(), _asset("page.js")] if data else [_asset("page.js")]
-    until = facts.until()
+    script, until = (resources.files("pipelines.report") / "page.js").read_text(encoding="utf-8"), facts.until()
     return render(
         "report.html",
         title=_("Fleet health") + (f", {until:%Y-%m-%d}" if until else ""),
         units=units,
-        policy=policy(*scripts),
-        scripts=[Markup(s) for s in scripts],
-        data=data,
+        policy=policy(script),
+        script=Markup(script),
         tonight=tonight_with_cards(facts, fouling_limit),
         alerts=_alerts(facts),
         thresholds=thresholds,
@@ -67,7 +61,7 @@ def page(
         deliveries=facts["deliveries"].row(0, named=True),
         filter_yield=_filter_yield(facts),
         design=facts["design"].filter(pl.col("scope") != "tail").to_dicts(),
-        figures=paper_figures,
+        figures=figures(facts),
         model_card=facts.card,
     )
 
@@ -119,7 +113,3 @@ def _filter_yield(facts: Facts) -> dict[str, Any]:
             for r in facts["reasons"].to_dicts()
         ),
     }
-
-
-def _asset(name: str) -> str:
-    return (resources.files("pipelines.report") / name).read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Draw a night's pictures for Dagster: health and residuals of the packs most in need, and Figure 16.
+"""Draw the pictures of a calibration and a night for Dagster.
 
 Dagster's page runs no script of ours, so they are images; they are small because every night stores its own.
 """
@@ -6,11 +6,22 @@ Dagster's page runs no script of ours, so they are images; they are small becaus
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import dagster as dg
 import polars as pl
 
-from hdt_core.records.keys import PACK
+from hdt_core.calibration.drift_audit import audit_drift
+from hdt_core.calibration.dsm import Dsm
+from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.robust import Z_90
-from pipelines.report.plots import around_replacement, as_markdown
+from pipelines.report.plots import (
+    around_replacement,
+    as_png,
+    figure_12,
+    figure_13,
+    figure_15,
+    figure_16,
+    outlet_residuals,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,9 +36,52 @@ PICTURE_FEATURES = (
 Pack = tuple[str, pl.DataFrame]
 
 
+def calibration_metadata(
+    samples: pl.DataFrame, twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
+) -> dict[str, Any]:
+    """Return figures, the comparison of equation (6)'s forms and the drift audit as Dagster's metadata.
+
+    Parameters
+    ----------
+    samples, twin_flights : DataFrame
+        Of the baseline: samples of the leg filter, and their estimates by `estimate_flights`.
+    """
+    audit, cruise = audit_drift(twin_flights, maintenance, dsm), _longest_cruise(samples)
+    own = twin_flights.join(cruise.select(FLIGHT_PACK).head(1), on=FLIGHT_PACK, validate="m:1")
+    figures = {
+        "figure_12": figure_12(twin_flights, dsm.compressor),
+        "figure_13": figure_13(twin_flights, dsm.compressor),
+        "figure_15": figure_15(outlet_residuals(cruise, own, dsm)),
+    }
+    return {name: _markdown(figure) for name, figure in figures.items()} | {
+        "equation_6": dg.MetadataValue.md(_table(pl.DataFrame(dsm.compressor.forms))),
+        "drift_audit": dg.MetadataValue.md(_table(audit)),
+        "units_that_drift": int(audit["drifts"].sum()),
+    }
+
+
+def _longest_cruise(samples: pl.DataFrame) -> pl.DataFrame:
+    """Select the cruise of the flight and pack with the most samples: continuous logs first."""
+    cruise = samples.filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
+    ranked = cruise.group_by(FLIGHT_PACK).agg(pl.col("n_averaged").max(), pl.len().alias("n"))
+    best = ranked.sort(pl.col("n_averaged") > 1, "n", *FLIGHT_PACK, descending=True).head(1)
+    return cruise.join(best.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+
+
+def _markdown(figure: "Figure") -> dg.MarkdownMetadataValue:
+    return dg.MetadataValue.md(f"![figure]({as_png(figure)})")
+
+
+def _table(frame: pl.DataFrame) -> str:
+    """Format a small table as Markdown."""
+    cells = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in frame.rows()]
+    lines = [frame.columns, ["---"] * frame.width, *cells]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
 def night_pictures(features: pl.DataFrame, prognoses: pl.DataFrame, maintenance: pl.DataFrame) -> dict[str, Any]:
     """Return the figures of `night_figures` as Dagster's metadata."""
-    return {name: as_markdown(f) for name, f in night_figures(features, prognoses, maintenance).items()}
+    return {name: _markdown(f) for name, f in night_figures(features, prognoses, maintenance).items()}
 
 
 def night_figures(features: pl.DataFrame, prognoses: pl.DataFrame, maintenance: pl.DataFrame) -> dict[str, "Figure"]:
@@ -41,7 +95,7 @@ def night_figures(features: pl.DataFrame, prognoses: pl.DataFrame, maintenance: 
     grids = {"health_over_flights": _grid(own, _health), "outlet_residuals": _grid(own, _residuals)} if own else {}
     shares = flights.drop_nulls("hx_fouling_flight").with_columns(ua_share=1.0 - pl.col("hx_fouling_flight"))
     replacement = around_replacement(shares, maintenance)
-    return grids | ({"figure_16": _figure_16(*replacement)} if replacement else {})
+    return grids | ({"figure_16": _titled_figure_16(*replacement)} if replacement else {})
 
 
 def _most_in_need(prognoses: pl.DataFrame) -> list[dict[str, Any]]:
@@ -102,17 +156,12 @@ def _residuals(axes: "Axes", name: str, rows: pl.DataFrame) -> None:
     axes.set_ylabel("K: sensor less model\ndashed, less twin dots", fontsize=7)
 
 
-def _figure_16(work: dict[str, Any], rows: pl.DataFrame) -> "Figure":
-    """Draw conductance over the flights before and after a replacement."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 2.8))
-    figure.subplots_adjust(0.12, 0.18, 0.98, 0.88)
-    axes = figure.subplots()
-    axes.plot(rows["n"], 100 * rows["ua_share"], ".", ms=3)
-    axes.axvline(0.0, color="C2", ls=":")
-    axes.set_title(f"Figure 16: {work['tail']} pack {work['pack']}, exchanger replaced {work['done_on']}", fontsize=9)
-    axes.set(xlabel="flights from the replacement", ylabel="UA, % of design")
+def _titled_figure_16(work: dict[str, Any], rows: pl.DataFrame) -> "Figure":
+    """Draw figure 16 with the pack and the day in its title."""
+    figure = figure_16(rows)
+    title = f"Figure 16: {work['tail']} pack {work['pack']}, exchanger replaced {work['done_on']}"
+    figure.axes[0].set_title(title, fontsize=9)
+    figure.subplots_adjust(top=0.9)
     return figure
 
 

@@ -1,114 +1,156 @@
-"""Draw the calibration's figures for Dagster: 12, 13 and 15 of the paper, from this fleet's flights."""
+"""Draw figures 12, 13, 15 and 16 of the paper from this fleet's flights, for the report and for Dagster."""
 
 import base64
 import io
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import dagster as dg
 import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.calibration.drift_audit import audit_drift
+from hdt_core.calibration.compressor_fit import CompressorFit
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.health.residuals import residuals
-from hdt_core.records.keys import FLIGHT_PACK, PACK
+from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import date_entries
+from pipelines.report.units import to_us
+from pipelines.words import _
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_DOTS = 4_000
+BLUE, ORANGE, GREEN, VERMILLION, SKY, GREY, INK = (
+    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#6b6b6b", "#1a1a1a",
+)  # fmt: skip
+"""Colours of Okabe and Ito."""
+MOST_DOTS = 700
 FLIGHTS_BEFORE, FLIGHTS_AFTER = 200, 40
 DPI, COLOURS = 72, 24
-MARGINS = (0.12, 0.12, 0.98, 0.92)
+MARGINS = (0.12, 0.14, 0.98, 0.96)
 """Left, bottom, right, top; automatic margins draw the figure twice."""
 
 
-def calibration_metadata(
-    samples: pl.DataFrame, twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
-) -> dict[str, Any]:
-    """Return figures, the comparison of equation (6)'s forms and the drift audit as Dagster's metadata.
+def figure_12(twin_flights: pl.DataFrame, fit: CompressorFit | None, system: str = "si") -> "Figure":
+    """Draw the compressor inlet's identifiable group of each flight over the diffuser's position, and the fleet's.
 
-    Parameters
-    ----------
-    samples, twin_flights : DataFrame
-        Of the baseline: samples of the leg filter, and their estimates by `estimate_flights`.
+    `system` is one of `units.SYSTEMS`.
     """
-    audit = audit_drift(twin_flights, maintenance, dsm)
-    figures = {
-        "figure_12": figure_12(twin_flights, dsm),
-        "figure_13": figure_13(twin_flights, dsm),
-        "figure_15": figure_15(samples, twin_flights, dsm),
-    }
-    return {name: as_markdown(figure) for name, figure in figures.items()} | {
-        "equation_6": dg.MetadataValue.md(_table(pl.DataFrame(dsm.compressor.forms))),
-        "drift_audit": dg.MetadataValue.md(_table(audit)),
-        "units_that_drift": int(audit["drifts"].sum()),
-    }
+    return _over_diffuser(twin_flights, "group_m3", fit.group_at_m3 if fit else None, "A·D·tan β", "10⁻³ m³", system)
 
 
-def figure_12(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
-    """Draw the compressor inlet's identifiable group of each flight, and the fleet's."""
-    figure, axes = _figure()
-    rows = _thinned(twin_flights.drop_nulls(["vda_counts", "group_m3"]))
-    axes.plot(rows["vda_counts"], 1e3 * rows["group_m3"], ".", ms=3, alpha=0.4)
-    c = dsm.compressor
-    _draw_line(axes, rows, c.group_at_m3)
-    axes.set(xlabel="diffuser actuator, counts", ylabel="A·D·tan β, 10⁻³ m³")
-    at = f"at {c.vda_counts:.0f} counts"
-    axes.set_title(f"Figure 12: inlet group, {1e3 * c.group_m3:.4f} ± {1e3 * c.group_sd_m3:.4f} {at}")
-    return figure
-
-
-def figure_13(twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
-    """Draw the effective diameter of each flight and equation (6)."""
-    figure, axes = _figure()
-    rows = _thinned(twin_flights.drop_nulls(["vda_counts", "diameter_m"]))
-    axes.plot(rows["vda_counts"], 1e3 * rows["diameter_m"], ".", ms=3, alpha=0.4)
-    c = dsm.compressor
-    _draw_line(axes, rows, c.diameter_m)
-    axes.set(xlabel="diffuser actuator, counts", ylabel="effective diameter, mm")
-    axes.set_title(
-        f"Figure 13: {c.intercept_m:.4f} m {c.slope_m_per_count:+.3g} m/count, "
-        f"error {1e3 * c.mae_m:.2f} mm, R² {c.r_squared:.2f}"
+def figure_13(twin_flights: pl.DataFrame, fit: CompressorFit | None, system: str = "si") -> "Figure":
+    """Draw the effective diameter of each flight, and equation (6)."""
+    return _over_diffuser(
+        twin_flights, "diameter_m", fit.diameter_m if fit else None, _("effective diameter"), "mm", system
     )
+
+
+def _over_diffuser(
+    twin_flights: pl.DataFrame,
+    column: str,
+    line: Callable[[Array], Array] | None,
+    name: str,
+    unit: str,
+    system: str,
+) -> "Figure":
+    """Draw a column, a dot a flight, and a fitted line over the positions on record; `unit` is a thousandth of its."""
+    figure, axes = _figure()
+    rows = twin_flights.drop_nulls(["vda_counts", column])
+    rows = rows.gather_every(max(1, -(-rows.height // MOST_DOTS)))
+    at = rows["vda_counts"].to_numpy()
+    convert, unit = _scale(unit, system)
+    axes.plot(at, convert(1e3 * rows[column].to_numpy()), ".", ms=5, alpha=0.5, color=BLUE, mew=0)
+    if line and rows.height:
+        ends = np.array([at.min(), at.max()])
+        axes.plot(ends, convert(1e3 * line(ends)), color=VERMILLION)
+    axes.set(xlabel=_("diffuser actuator, counts"), ylabel=f"{name}, {unit}")
     return figure
 
 
-def _draw_line(axes: "Axes", rows: pl.DataFrame, value_at: Callable[[Array], Array]) -> None:
-    """Draw a fitted line over the positions on record."""
-    if rows.height:
-        ends = np.array([rows["vda_counts"].min(), rows["vda_counts"].max()], float)
-        axes.plot(ends, 1e3 * value_at(ends), color="C1")
+def _scale(unit: str, system: str) -> tuple[Callable[[Array], Array], str]:
+    """Return the conversion from `unit` to that of a system, and its name."""
+    if system == "si":
+        return lambda values: values, unit
+    (zero, name), (one, _name) = to_us(0.0, unit), to_us(1.0, unit)
+    return lambda values: values * (one - zero) + zero, name
 
 
-def figure_15(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> "Figure":
-    """Draw the exchanger outlet over one cruise, sensor against model, and the residual beneath."""
+def figure_15(samples: pl.DataFrame, system: str = "si") -> "Figure":
+    """Draw the exchanger outlet over one cruise, sensor against model, and the residual beneath.
+
+    `samples` are those of `outlet_residuals`.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 4.8))
     figure.subplots_adjust(*MARGINS, hspace=0.08)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
-    cruise = _segment(samples)
-    rows = outlet_residuals(
-        cruise, twin_flights.join(cruise.select(FLIGHT_PACK).head(1), on=FLIGHT_PACK, validate="m:1"), dsm
+    columns = (samples[c].to_numpy() for c in ("hx_out_k", "sensor_minus_twin", "sensor_minus_dsm"))
+    sensor, twin_residual, model_residual = columns
+    convert, unit = _scale("°C", system)
+    minutes = (
+        samples.select((pl.col("time_utc") - pl.col("time_utc").min()).dt.total_seconds()).to_series().to_numpy() / 60.0
     )
-    if rows.height:
-        minute = (rows["time_utc"] - rows["time_utc"][0]).dt.total_seconds().to_numpy() / 60.0
-        sensor = rows["hx_out_k"].to_numpy() - 273.15
-        upper.plot(minute, sensor, ".", color="black", label="sensor")
-        upper.plot(minute, sensor - rows["sensor_minus_twin"].to_numpy(), label="twin")
-        upper.plot(minute, sensor - rows["sensor_minus_dsm"].to_numpy(), "--", label="model as built")
-        upper.legend()
-        lower.plot(minute, rows["sensor_minus_twin"].to_numpy(), ".")
-        upper.set_title(f"Figure 15: {rows['flight_id'][0]}, pack {rows['pack'][0]}")
-    lower.axhline(0.0, color="grey", lw=0.8)
-    upper.set_ylabel("exchanger outlet, °C")
-    lower.set(xlabel="minutes of cruise", ylabel="sensor - twin, K")
+    for values, label, style in (
+        (sensor, _("sensor"), {"ls": "", "marker": ".", "color": INK}),
+        (sensor - twin_residual, _("twin"), {"color": BLUE}),
+        (sensor - model_residual, _("model as built"), {"ls": "--", "color": ORANGE}),
+    ):
+        upper.plot(minutes, convert(values - 273.15), label=label, **style)
+    upper.legend(frameon=False)
+    upper.set_ylabel(_("exchanger outlet, {unit}", unit=unit))
+    convert, unit = _scale("K", system)
+    lower.axhline(0.0, color=GREY, lw=0.8)
+    lower.plot(minutes, convert(twin_residual), ".", color=BLUE)
+    lower.set(xlabel=_("minutes of cruise"), ylabel=_("sensor - twin, {unit}", unit=unit))
     return figure
+
+
+def figure_16(flights: pl.DataFrame) -> "Figure":
+    """Draw conductance over the flights before and after a replacement, and the median of nine on either side.
+
+    `flights` are those of `around_replacement`.
+    """
+    figure, axes = _figure()
+    share = 100 * flights["ua_share"]
+    axes.plot(flights["n"], share, ".", ms=4, color=SKY)
+    for side in (flights["n"] < 0, flights["n"] >= 0):
+        axes.plot(flights["n"].filter(side), share.filter(side).rolling_median(9, min_samples=3), color=BLUE)
+    axes.axvline(0.0, color=GREEN, ls=":")
+    axes.set(xlabel=_("flights from the replacement"), ylabel=_("UA, % of design"))
+    return figure
+
+
+def _figure() -> tuple["Figure", "Axes"]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 3.6))
+    figure.subplots_adjust(*MARGINS)
+    return figure, figure.subplots()
+
+
+def as_svg(figure: "Figure") -> str:
+    """Encode a figure as the address of an SVG image, the same bytes for the same figure."""
+    import matplotlib as mpl
+
+    image = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "hdt", "svg.fonttype": "none"}):
+        figure.savefig(image, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(image.getvalue()).decode()}"
+
+
+def as_png(figure: "Figure") -> str:
+    """Encode a figure as the address of a PNG image, in few colours to stay small."""
+    from PIL import Image
+
+    image, small = io.BytesIO(), io.BytesIO()
+    figure.savefig(image, format="png", dpi=DPI)
+    Image.open(image).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(
+        small, format="png", optimize=True
+    )
+    return f"data:image/png;base64,{base64.b64encode(small.getvalue()).decode()}"
 
 
 def outlet_residuals(cruise: pl.DataFrame, twin_flight: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
@@ -121,48 +163,9 @@ def outlet_residuals(cruise: pl.DataFrame, twin_flight: pl.DataFrame, dsm: Dsm) 
     samples, twins = (f.drop("flight_id").rename({"sample": "flight_id"}) for f in (alone, flights))
     rows = residuals(samples, twins, dsm).filter(signal="hx_out_k").pivot("kind", index="flight_id", values="mean")
     if not rows.height:
-        return alone.clear()
+        return alone.clear().with_columns(sensor_minus_twin=pl.lit(0.0), sensor_minus_dsm=pl.lit(0.0))
     wide = alone.join(rows.rename({"flight_id": "sample"}), on="sample", validate="m:1")
     return wide.drop_nulls(["sensor_minus_twin", "sensor_minus_dsm"]).sort("time_utc")
-
-
-def _segment(samples: pl.DataFrame) -> pl.DataFrame:
-    """Select the cruise of the flight and pack with the most samples: continuous logs first."""
-    cruise = samples.filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
-    ranked = cruise.group_by(FLIGHT_PACK).agg(pl.col("n_averaged").max(), pl.len().alias("n"))
-    best = ranked.sort(pl.col("n_averaged") > 1, "n", *FLIGHT_PACK, descending=True).head(1)
-    return cruise.join(best.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
-
-
-def _figure() -> tuple["Figure", "Axes"]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 4.0))
-    figure.subplots_adjust(*MARGINS)
-    return figure, figure.subplots()
-
-
-def _thinned(rows: pl.DataFrame) -> pl.DataFrame:
-    return rows.gather_every(max(1, -(-rows.height // MOST_DOTS)))
-
-
-def as_markdown(figure: "Figure") -> dg.MarkdownMetadataValue:
-    """Encode a figure as an image in Markdown, in few colours to stay small."""
-    from PIL import Image
-
-    image, small = io.BytesIO(), io.BytesIO()
-    figure.savefig(image, format="png", dpi=DPI)
-    Image.open(image).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(
-        small, format="png", optimize=True
-    )
-    return dg.MetadataValue.md(f"![figure](data:image/png;base64,{base64.b64encode(small.getvalue()).decode()})")
-
-
-def _table(frame: pl.DataFrame) -> str:
-    """Format a small table as Markdown."""
-    cells = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in frame.rows()]
-    lines = [frame.columns, ["---"] * frame.width, *cells]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def around_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> tuple[dict[str, Any], pl.DataFrame] | None:

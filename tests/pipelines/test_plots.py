@@ -10,9 +10,9 @@ from known_fleet import fleet_with_truth
 
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
-from pipelines.report import charts
-from pipelines.report.figures import inlet_group
-from pipelines.report.plots import calibration_metadata, figure_12, outlet_residuals
+from pipelines.report import figures
+from pipelines.report.pictures import calibration_metadata
+from pipelines.report.plots import as_svg, figure_12, figure_13, figure_15, outlet_residuals
 
 
 @pytest.fixture(scope="module")
@@ -39,15 +39,45 @@ def test_figures_are_pictures_and_tables_hold_every_form_and_unit(calibrated):
 def test_line_of_figure_12_follows_the_diffuser(calibrated, monkeypatch):
     _, dsm, flights = calibrated
     fit = replace(dsm.compressor, group_m3=9e-4, vda_counts=400.0, group_slope_m3_per_count=5e-7)
-    dsm = replace(dsm, compressor=fit)
-    counts, group = figure_12(flights, dsm).axes[0].lines[-1].get_data()
+    counts, group = figure_12(flights, fit).axes[0].lines[-1].get_data()
+    assert (min(counts), max(counts)) == (flights["vda_counts"].min(), flights["vda_counts"].max())
     assert group == pytest.approx([0.9 + 5e-4 * (v - 400.0) for v in counts])  # 1e-3 m3
-    lines = []
-    monkeypatch.setattr(charts, "cloud", lambda x, y, label, line: lines.append(line))
-    inlet_group(SimpleNamespace(dsm=dsm, twin=flights.with_columns(admitted=pl.lit(True))))
-    counts, group = lines[0]
-    assert min(counts) < flights["vda_counts"].min() < flights["vda_counts"].max() < max(counts)
-    assert group == pytest.approx([0.9 + 5e-4 * (v - 400.0) for v in counts])
+    drawn = []
+    monkeypatch.setattr(figures, "figure_12", lambda *of: drawn.append(of) or figure_12(*of))
+    twin = flights.with_columns(admitted=pl.lit(True))
+    page = figures.inlet_group(SimpleNamespace(dsm=replace(dsm, compressor=fit), twin=twin))
+    assert [of[1:] for of in drawn] == [(fit, "si"), (fit, "us")]
+    assert set(page["images"]) == {"si", "us"}
+
+
+@pytest.mark.parametrize(("draw", "column"), [(figure_12, "group_m3"), (figure_13, "diameter_m")])
+def test_dots_are_the_flights_and_the_other_system_is_the_same_converted(calibrated, draw, column):
+    _, dsm, flights = calibrated
+    si, us = (draw(flights, dsm.compressor, system).axes[0] for system in ("si", "us"))
+    dots, line = si.lines
+    assert dots.get_ydata() == pytest.approx(1e3 * flights.drop_nulls(["vda_counts", column])[column].to_numpy())
+    factor = {"group_m3": 61.02374, "diameter_m": 0.03937008}[column]  # 1e-3 m3 and mm in in3 and in
+    for metric, imperial in zip(si.lines, us.lines, strict=True):
+        assert imperial.get_ydata() == pytest.approx(factor * metric.get_ydata())
+    assert len(line.get_xdata()) == 2
+    assert (si.get_ylabel().split()[-1], us.get_ylabel().split()[-1]) in {("m³", "in³"), ("mm", "in")}
+
+
+def test_figure_15_converts_temperatures_and_their_differences(calibrated):
+    fleet, dsm, flights = calibrated
+    one = (pl.col("flight_id") == fleet.samples["flight_id"][-1]) & (pl.col("pack") == 1)
+    rows = outlet_residuals(fleet.samples.filter(one), flights.filter(one), dsm)
+    (upper, lower), (upper_us, lower_us) = (figure_15(rows, system).axes for system in ("si", "us"))
+    sensor, twin, _ = (line.get_ydata() for line in upper.lines)
+    assert sensor == pytest.approx(rows["hx_out_k"].to_numpy() - 273.15)
+    assert sensor - twin == pytest.approx(rows["sensor_minus_twin"].to_numpy())
+    assert upper_us.lines[0].get_ydata() == pytest.approx(1.8 * sensor + 32.0)
+    assert lower_us.lines[-1].get_ydata() == pytest.approx(1.8 * lower.lines[-1].get_ydata())
+
+
+def test_an_image_is_the_same_bytes_whatever_was_drawn_before(calibrated):
+    _, dsm, flights = calibrated
+    assert as_svg(figure_12(flights, dsm.compressor)) == as_svg(figure_12(flights, dsm.compressor))
 
 
 def test_residual_of_the_twin_is_what_its_flight_leaves_over(calibrated):
