@@ -8,17 +8,14 @@ waits for another, and a flight's answer does not depend on its neighbours.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from hdt_benchmark import exchanger_arrays, exchanger_compiled
-from hdt_core.estimation.compiled import COMPILED
+from hdt_benchmark.exchanger_compiled import Columns, conductance_scale, lumped_resistance
 from hdt_core.estimation.estimate import Status
 from hdt_core.estimation.problem import Array
 
-Path = Literal["compiled", "arrays"]
 STATUS: tuple[Status, ...] = ("converged", "at_bound", "max_steps", "not_identifiable")
 
 
@@ -45,7 +42,7 @@ class ExchangerSamples:
     weight_per_k2: Array
     starts: npt.NDArray[np.int64]
 
-    def columns(self) -> exchanger_arrays.Columns:
+    def columns(self) -> Columns:
         """Return the samples as contiguous float arrays in the kernels' order."""
         return (
             np.ascontiguousarray(self.hot_flow_kg_s, dtype=float),
@@ -96,7 +93,7 @@ class FlightFits:
         return np.array(STATUS)[self.code]
 
 
-def fit_conductance_scale(samples: ExchangerSamples, clean_ua_w_k: Array, path: Path | None = None) -> FlightFits:
+def fit_conductance_scale(samples: ExchangerSamples, clean_ua_w_k: Array) -> FlightFits:
     r"""Fit the logarithm of UA over the clean UA, one number a flight, with the exact cross-flow effectiveness.
 
     Parameters
@@ -104,8 +101,6 @@ def fit_conductance_scale(samples: ExchangerSamples, clean_ua_w_k: Array, path: 
     samples : ExchangerSamples
     clean_ua_w_k : array (n_samples,)
         Conductance that the clean exchanger would have at each sample's flows; sets the scale. [W/K]
-    path : {"compiled", "arrays"}, optional
-        Compiled where numba is installed; the NumPy path gives the same answer.
 
     Returns
     -------
@@ -122,11 +117,10 @@ def fit_conductance_scale(samples: ExchangerSamples, clean_ua_w_k: Array, path: 
     flights one by one, agree to the last digits.
     """
     clean = np.ascontiguousarray(clean_ua_w_k, dtype=float)
-    kernel = exchanger_compiled if is_compiled(path) else exchanger_arrays
-    return FlightFits(*kernel.conductance_scale(samples.columns(), clean, samples.starts))
+    return FlightFits(*conductance_scale(samples.columns(), clean, samples.starts))
 
 
-def fit_lumped_resistance(samples: ExchangerSamples, path: Path | None = None) -> FlightFits:
+def fit_lumped_resistance(samples: ExchangerSamples) -> FlightFits:
     r"""Fit 1/H of equations (7)-(8) with H_h = H_c in steady flow, one number a flight.
 
     Returns
@@ -140,12 +134,4 @@ def fit_lumped_resistance(samples: ExchangerSamples, path: Path | None = None) -
     -----
     .. math:: \varepsilon_h = \left[1 + W_h C_h \left(\tfrac{1}{H} + \tfrac{1}{W_r C_c}\right)\right]^{-1}
     """
-    kernel = exchanger_compiled if is_compiled(path) else exchanger_arrays
-    return FlightFits(*kernel.lumped_resistance(samples.columns(), samples.starts))
-
-
-def is_compiled(path: Path | None) -> bool:
-    """Return whether to run compiled; the default where numba is installed."""
-    if path == "compiled" and not COMPILED:
-        raise RuntimeError("the compiled path needs numba")
-    return COMPILED and path != "arrays"
+    return FlightFits(*lumped_resistance(samples.columns(), samples.starts))

@@ -1,34 +1,29 @@
-"""The compiled path of the per-flight exchanger fits: sixteen flights side by side, for the vector registers.
-
-The same steps as `exchanger_arrays`, whose constants it shares.
-"""
+"""Kernels of the per-flight exchanger fits: sixteen flights side by side, for the vector registers."""
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from hdt_benchmark.exchanger_arrays import (
-    BOUND,
-    CONVERGED,
-    KILO,
-    LEAST_SPAN_K,
-    LONGEST_STEP,
-    MAX_STEPS,
-    MOST_STEPS,
-    NOT_IDENTIFIABLE,
-    SETTLED,
-    START_STEPS,
-    Columns,
-    Fit,
-    Integers,
-    bounded_resistance,
-    bounded_scale,
-)
 from hdt_benchmark.exchanger_rows import FEW_UNITS, LANES, LARGER_UNITS, sums_of_step, vectorised
 from hdt_core.estimation.compiled import linked
 from hdt_core.estimation.problem import Array
 from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
+
+CONVERGED, AT_BOUND, MAX_STEPS, NOT_IDENTIFIABLE = 0, 1, 2, 3
+LEAST_SPAN_K = 1.0  # between the inlets; below it a sample says nothing about the exchanger
+MOST_STEPS = 25
+START_STEPS = 4
+SETTLED = 1e-5  # what is left after such a step is about a hundredth of it
+LONGEST_STEP = 1.0
+BOUND = 4.0  # of ln UA over the clean UA
+KILO = 1000.0  # 1/H is fitted per kW/K, so that steps and tolerance are of order one
+
+Integers = npt.NDArray[np.int64]
+Columns = tuple[Array, Array, Array, Array, Array, Array]
+"""Hot flow, ram flow, hot in, hot out, cold in, weight: (n_samples,) each."""
+Fit = tuple[Array, Array, Array, Integers, Integers, Integers]
 
 _mean_heat = vectorised(mean_specific_heat_j_kg_k)
 _warmed = vectorised(linked(warmed_k, mean_specific_heat_j_kg_k=_mean_heat))
@@ -36,12 +31,16 @@ _warmed = vectorised(linked(warmed_k, mean_specific_heat_j_kg_k=_mean_heat))
 
 def conductance_scale(samples: Columns, clean_ua_w_k: Array, starts: Integers) -> Fit:
     """See `exchanger.fit_conductance_scale`."""
-    return bounded_scale(_fits(True, samples, clean_ua_w_k, starts))
+    mean, information, chi2, n_used, steps, code = _fits(True, samples, clean_ua_w_k, starts)
+    at_bound = (np.abs(mean) >= BOUND) & (code != NOT_IDENTIFIABLE)
+    return mean, information, chi2, n_used, steps, np.where(at_bound, AT_BOUND, code)
 
 
 def lumped_resistance(samples: Columns, starts: Integers) -> Fit:
     """See `exchanger.fit_lumped_resistance`."""
-    return bounded_resistance(_fits(False, samples, samples[0], starts))
+    mean, information, chi2, n_used, steps, code = _fits(False, samples, samples[0], starts)
+    at_bound = (mean <= 0.0) & (code != NOT_IDENTIFIABLE)
+    return mean / KILO, information * KILO**2, chi2, n_used, steps, np.where(at_bound, AT_BOUND, code)
 
 
 @vectorised

@@ -11,20 +11,13 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from hdt_benchmark import exchanger_log_arrays, exchanger_log_compiled
-from hdt_benchmark.exchanger import ExchangerSamples, FlightFits, Path, is_compiled
-from hdt_benchmark.exchanger_arrays import AT_BOUND, NOT_IDENTIFIABLE, Columns, Integers
-from hdt_benchmark.exchanger_log_arrays import LEAST_H_W_K, MOST_H_W_K
+from hdt_benchmark.exchanger import ExchangerSamples, FlightFits
+from hdt_benchmark.exchanger_compiled import AT_BOUND, NOT_IDENTIFIABLE, Columns, Integers
+from hdt_benchmark.exchanger_log_compiled import LEAST_H_W_K, MOST_H_W_K, fits, is_whole
 from hdt_core.estimation.problem import Array
 
 
-def fit_lumped_log(
-    samples: ExchangerSamples,
-    dt_s: float,
-    mass_hot_kg: float,
-    mass_cold_kg: float,
-    path: Path | None = None,
-) -> FlightFits:
+def fit_lumped_log(samples: ExchangerSamples, dt_s: float, mass_hot_kg: float, mass_cold_kg: float) -> FlightFits:
     r"""Fit ln H of equations (7)-(8) with H_h = H_c and known masses, one number a flight.
 
     Parameters
@@ -47,19 +40,17 @@ def fit_lumped_log(
     Starts from the mean sample in closed form and one step of the steady fit; then usually two passes. The log begins
     in the steady state of its first sample.
     """
-    fast = is_compiled(path)
     pace = (0.5 * dt_s / mass_hot_kg, 0.5 * dt_s / mass_cold_kg)
-    run = exchanger_log_compiled.fits if fast else exchanger_log_arrays.fits
-    theta, information, chi2, n_used, steps, code = run(_fill_gaps(samples, fast), samples.starts, pace)
+    theta, information, chi2, n_used, steps, code = fits(_fill_gaps(samples), samples.starts, pace)
     outside = (theta <= np.log(LEAST_H_W_K)) | (theta >= np.log(MOST_H_W_K))
     code[outside & (code != NOT_IDENTIFIABLE)] = AT_BOUND
     return FlightFits(theta, information, chi2, n_used, steps, code)
 
 
-def _fill_gaps(samples: ExchangerSamples, fast: bool) -> Columns:
+def _fill_gaps(samples: ExchangerSamples) -> Columns:
     """Fill gaps of the inputs with the last value within each flight; samples without one get weight 0."""
     columns = samples.columns()
-    if fast and exchanger_log_compiled.is_whole(columns):
+    if is_whole(columns):
         return columns
     hot_flow, ram_flow, hot_in, hot_out, cold_in, weight = columns
     pairs = [_hold_last(column, samples.starts) for column in (hot_flow, ram_flow, hot_in, cold_in)]

@@ -1,13 +1,12 @@
-"""The compiled path of the log fit: the same steps as `exchanger_log_arrays`, a flight at a time."""
+"""Kernels of the log fit, a flight at a time."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from hdt_benchmark.exchanger_arrays import (
+from hdt_benchmark.exchanger_compiled import (
     CONVERGED,
+    LONGEST_STEP,
     MAX_STEPS,
     MOST_STEPS,
     NOT_IDENTIFIABLE,
@@ -15,17 +14,40 @@ from hdt_benchmark.exchanger_arrays import (
     Fit,
     Integers,
 )
-from hdt_benchmark.exchanger_log_arrays import SETTLED, mean_start, steady, take_step
 from hdt_benchmark.exchanger_rows import vectorised
 from hdt_core.estimation.problem import Array
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
 
+SETTLED = 1e-6
+LEAST_H_W_K, MOST_H_W_K = 1.0, 1e6
 BLOCK = 512  # steps whose coefficients stay in the nearest cache
 
-# the same equations, compiled for one number at a time
-_fast_steady: Any = vectorised(steady)
-_fast_mean_start: Any = vectorised(mean_start)
-_fast_moved: Any = vectorised(take_step)
+
+@vectorised
+def _steady(
+    h_w_k: float, hot_flow: float, ram_flow: float, hot_in: float, cold_in: float
+) -> tuple[float, float, float, float]:
+    """Return steady outlets and their derivatives by ln H."""
+    hot_rate, cold_rate = hot_flow * CP_HOT_J_KG_K, ram_flow * CP_COLD_J_KG_K
+    both = hot_rate * cold_rate
+    share = 1.0 / (both + h_w_k * (hot_rate + cold_rate))
+    span = h_w_k * (hot_in - cold_in) * share
+    slope = span * both * share
+    return hot_in - cold_rate * span, cold_in + hot_rate * span, -cold_rate * slope, hot_rate * slope
+
+
+@vectorised
+def _mean_start(hot_flow: float, ram_flow: float, hot_in: float, hot_out: float, cold_in: float) -> float:
+    """Return ln H of the mean sample in closed form."""
+    inverse = (hot_out - cold_in) / ((hot_in - hot_out) * hot_flow * CP_HOT_J_KG_K) - 1.0 / (ram_flow * CP_COLD_J_KG_K)
+    return float(-np.log(min(max(inverse, 1.0 / MOST_H_W_K), 1.0 / LEAST_H_W_K)))
+
+
+@vectorised
+def _take_step(theta: float, step: float) -> float:
+    """Apply a step, limited in length and to the bounds."""
+    short = min(max(step, -LONGEST_STEP), LONGEST_STEP)
+    return float(min(max(theta + short, np.log(LEAST_H_W_K)), np.log(MOST_H_W_K)))
 
 
 @vectorised
@@ -51,16 +73,16 @@ def _start(flight: Columns) -> float:
         c += weight[k] * hot_in[k]
         d += weight[k] * hot_out[k]
         e += weight[k] * cold_in[k]
-    theta = _fast_mean_start(a / whole, b / whole, c / whole, d / whole, e / whole)
+    theta = _mean_start(a / whole, b / whole, c / whole, d / whole, e / whole)
     h, pull, information = np.exp(theta), 0.0, 0.0
-    for k in range(len(hot_flow)):  # `steady` written out, for the vector registers
+    for k in range(len(hot_flow)):  # `_steady` written out, for the vector registers
         hot_rate, cold_rate = hot_flow[k] * CP_HOT_J_KG_K, ram_flow[k] * CP_COLD_J_KG_K
         share = 1.0 / (hot_rate * cold_rate + h * (hot_rate + cold_rate))
         span = h * (hot_in[k] - cold_in[k]) * share * cold_rate
         hot_by = -span * hot_rate * cold_rate * share
         pull += weight[k] * hot_by * (hot_out[k] - hot_in[k] + span)
         information += weight[k] * hot_by * hot_by
-    return float(_fast_moved(theta, pull / max(information, 1e-300)))
+    return float(_take_step(theta, pull / max(information, 1e-300)))
 
 
 @vectorised
@@ -88,7 +110,7 @@ def _pass(theta: float, flight: Columns, pace: tuple[float, float]) -> tuple[flo
     """One flight's sums of pull, information and squared residuals at this ln H."""
     hot_flow, ram_flow, hot_in, hot_out, cold_in, weight = flight
     h = np.exp(theta)
-    hot, cold, hot_by, cold_by = _fast_steady(h, hot_flow[0], ram_flow[0], hot_in[0], cold_in[0])
+    hot, cold, hot_by, cold_by = _steady(h, hot_flow[0], ram_flow[0], hot_in[0], cold_in[0])
     to_a, to_c = pace
     q, r = to_a * h / CP_HOT_J_KG_K, to_c * h / CP_COLD_J_KG_K
     rows, outlet, by = np.empty((5, BLOCK)), np.empty(BLOCK), np.empty(BLOCK)
@@ -137,7 +159,7 @@ def fits(columns: Columns, starts: Integers, pace: tuple[float, float]) -> Fit:
             pull, information[f], chi2[f] = _pass(theta, flight, pace)
             steps[f] += 1
             step = pull / max(information[f], 1e-300)
-            theta = _fast_moved(theta, step)
+            theta = _take_step(theta, step)
             if abs(step) <= SETTLED:
                 code[f] = CONVERGED
                 break

@@ -21,7 +21,7 @@ from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates, clea
 Fit = Callable[[Problem], np.ndarray]
 PACKAGES = ("numpy", "numba", "scipy", "filterpy")
 POINTS, FLIGHTS, PEER_FLIGHTS = 30, 20000, 40
-SCIPY, NUMPY = "SciPy lm, vectorised model, a flight a call", "batched, NumPy path"
+SCIPY = "SciPy lm, vectorised model, a flight a call"
 
 
 def installed(rounds: int = 5, records: int = 2, n_flights: int = 4000) -> list[Claim]:
@@ -63,10 +63,8 @@ def filter_claim(rounds: int, records: int) -> Claim:
 def conductance_claim(rounds: int, n_flights: int = FLIGHTS) -> Claim:
     """Compare the health of a fleet: ln UA over clean UA, exact cross-flow effectiveness."""
     samples, clean = snapshots(n_flights, POINTS)
-    few = first(samples, n_flights // 5)
     runs = {
         "ours, batched": Candidate(lambda: fit_conductance_scale(samples, clean).mean, n_flights),
-        NUMPY: Candidate(lambda: fit_conductance_scale(few, clean[: few.starts[-1]], "arrays").mean, n_flights // 5),
         SCIPY: Candidate(lambda: _scipy_conductance(samples, clean, PEER_FLIGHTS), PEER_FLIGHTS),
     }
     return race("cross-flow UA, 30 points a flight", runs, rounds, per_second=1e6)
@@ -95,13 +93,6 @@ def snapshots(n_flights: int, points: int) -> tuple[ExchangerSamples, np.ndarray
     hot_out = outlets_k(hot, ram, hot_in, cold_in, (1.0 - loss) * clean)[0] + 0.5 * rng.normal(size=n)
     starts = np.arange(n_flights + 1) * points
     return ExchangerSamples(hot, ram, hot_in, hot_out, cold_in, np.full(n, 4.0), starts), clean
-
-
-def first(samples: ExchangerSamples, n_flights: int) -> ExchangerSamples:
-    """Select the first flights of a batch."""
-    end = samples.starts[n_flights]
-    hot, ram, hot_in, hot_out, cold_in, weight = (column[:end] for column in samples.columns())
-    return ExchangerSamples(hot, ram, hot_in, hot_out, cold_in, weight, samples.starts[: n_flights + 1])
 
 
 def _scipy_fit(problem: Problem, method: str, tolerance: float = 1e-8) -> np.ndarray:

@@ -22,17 +22,17 @@ OVERLAP_DIFFERS = 0.1
 class Series:
     """One parameter over a recording, in order of time.
 
-        Attributes
-        ----------
-        t_s : (n,) float
-            Seconds since the recording's first frame (ARINC 717), or on the recorder's clock (ARINC 767).
-        value : (n,) float or None
-            In the parameter's unit; undefined where not `valid`.
-        text : Labels or None
+    Attributes
+    ----------
+    t_s : (n,) float
+        Seconds since the recording's first frame (ARINC 717), or on the recorder's clock (ARINC 767).
+    value : (n,) float or None
+        In the parameter's unit; undefined where not `valid`.
+    text : Labels or None
     valid : (n,) bool
-            False where the recording is damaged or the bits are no value.
-        whole : (n,) bool
-            Where the recording is undamaged.
+        False where the recording is damaged or the bits are no value.
+    whole : (n,) bool
+        Where the recording is undamaged.
     """
 
     parameter: Parameter

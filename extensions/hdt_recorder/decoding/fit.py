@@ -30,10 +30,10 @@ FIRST_BYTES, LOOK_BYTES, LOOK_FRAMES = 1 << 18, 1 << 22, 900
 def recognise(data: Bytes, layout: ParameterMap) -> Recording717 | Recording767:
     """Return the frames of a recording that a map fits.
 
-        Raises
-        ------
-        MapError
-    Names what disagrees: words a second, frame counter, lengths, rates, revision, impossible values.
+    Raises
+    ------
+    MapError
+        Names what disagrees: words a second, frame counter, lengths, rates, revision, impossible values.
     """
     if isinstance(layout, Map767):
         return _recognise_767(data, layout)

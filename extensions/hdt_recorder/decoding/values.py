@@ -24,14 +24,14 @@ class Labels:
 class Values:
     """Values of words; undefined where not `valid`.
 
-        Attributes
-        ----------
-        value : (n,) float64 or None
-            Numbers; None for characters.
-        text : Labels or None
-            Text, not numbers: characters, times, meanings of a discrete, a BCD number as written.
+    Attributes
+    ----------
+    value : (n,) float64 or None
+        Numbers; None for characters.
+    text : Labels or None
+        Text, not numbers: characters, times, meanings of a discrete, a BCD number as written.
     valid : (n,) bool
-            False where the bits are no value: a digit above nine, minute 61, NaN.
+        False where the bits are no value: a digit above nine, minute 61, NaN.
     """
 
     value: Floats | None

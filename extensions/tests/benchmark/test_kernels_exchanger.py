@@ -1,4 +1,4 @@
-"""The batched exchanger fits: truth recovered, SciPy's answer, both paths alike, each flight for itself."""
+"""The batched exchanger fits: truth recovered, SciPy's answer, each flight for itself."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,12 @@ from scipy.optimize import least_squares
 
 from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
 from hdt_benchmark.exchanger_log import fit_lumped_log
-from hdt_core.estimation.compiled import COMPILED
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates, clean_conductance_w_k, outlets_k
 from hdt_core.physics.lumped_exchanger import lumped_exchanger, steady_outlets_k
 
+COLUMNS = ("hot_flow_kg_s", "ram_flow_kg_s", "hot_in_k", "hot_out_k", "cold_in_k", "weight_per_k2")
 DESIGN = {p.name: p.nominal for p in HEAT_EXCHANGER.free("design")}
-PATHS = [pytest.param("compiled", marks=pytest.mark.skipif(not COMPILED, reason="numba not installed")), "arrays"]
-both_paths = pytest.mark.parametrize("path", PATHS)
 
 
 def snapshots(lengths, loss, sigma_k=0.5, seed=0):
@@ -55,25 +53,22 @@ def lumped(lengths, h_w_k, sigma_k=0.5, seed=0):
 
 
 def changed(samples, **columns):
-    names = ("hot_flow_kg_s", "ram_flow_kg_s", "hot_in_k", "hot_out_k", "cold_in_k", "weight_per_k2", "starts")
-    return ExchangerSamples(**({n: getattr(samples, n) for n in names} | columns))
+    return ExchangerSamples(**({n: getattr(samples, n) for n in (*COLUMNS, "starts")} | columns))
 
 
-@both_paths
-def test_conductance_comes_back_without_noise(path):
+def test_conductance_comes_back_without_noise():
     loss = np.linspace(-0.2, 0.8, 40)
     samples, clean = snapshots(np.full(40, 12), loss, sigma_k=0.0)
-    fits = fit_conductance_scale(samples, clean, path)
+    fits = fit_conductance_scale(samples, clean)
     np.testing.assert_allclose(-np.expm1(fits.mean), loss, atol=2e-8)
     assert set(fits.status) == {"converged"}
 
 
-@both_paths
-def test_spread_is_what_the_information_says(path):
+def test_spread_is_what_the_information_says():
     """1,000 flights: standardised errors have mean 0 and standard deviation 1."""
     loss = np.full(1000, 0.15)
     samples, clean = snapshots(np.full(1000, 30), loss, seed=3)
-    fits = fit_conductance_scale(samples, clean, path)
+    fits = fit_conductance_scale(samples, clean)
     standardised = (fits.mean - np.log1p(-loss)) / fits.sd
     assert abs(standardised.mean()) < 0.1
     assert standardised.std() == pytest.approx(1.0, abs=0.07)
@@ -115,27 +110,24 @@ def test_conductance_is_that_of_the_outlets():
         assert fits.chi2[f] == pytest.approx(2.0 * answer.cost, rel=6e-3)
 
 
-@both_paths
-def test_lumped_resistance_comes_back(path):
+def test_lumped_resistance_comes_back():
     h = np.geomspace(300.0, 1e5, 30)
-    fits = fit_lumped_resistance(lumped(np.full(30, 20), h, sigma_k=0.0), path)
+    fits = fit_lumped_resistance(lumped(np.full(30, 20), h, sigma_k=0.0))
     np.testing.assert_allclose(1.0 / fits.mean, h, rtol=1e-6)
     assert set(fits.status) == {"converged"}
 
 
-@both_paths
-def test_an_efficient_exchanger_rests_on_the_bound(path):
+def test_an_efficient_exchanger_rests_on_the_bound():
     """Cross-flow truth of high UA: no H > 0, and the fit says so instead of inventing one."""
     samples, _ = snapshots(np.full(10, 30), np.full(10, -0.6))
-    fits = fit_lumped_resistance(samples, path)
+    fits = fit_lumped_resistance(samples)
     assert set(fits.status) == {"at_bound"}
     assert np.all(fits.mean < 0.0)
     assert np.all(fits.information > 0.0)
 
 
-@pytest.mark.skipif(not COMPILED, reason="numba not installed")
-def test_both_paths_give_the_same_answer():
-    """Ragged flights, an empty one, missing values, impossible samples."""
+def test_ragged_flights_with_holes_keep_to_themselves():
+    """Ragged flights, an empty one, missing values, impossible samples: each as if it were fitted alone."""
     rng = np.random.default_rng(7)
     lengths = rng.integers(0, 60, 200)
     lengths[5] = 0
@@ -146,38 +138,35 @@ def test_both_paths_give_the_same_answer():
     holes["ram_flow_kg_s"] = np.where(rng.random(len(clean)) < 0.02, 0.0, samples.ram_flow_kg_s)
     holes["cold_in_k"] = np.where(rng.random(len(clean)) < 0.02, samples.hot_in_k, samples.cold_in_k)
     broken = changed(samples, **holes)
-    pairs = [
-        (
-            fit_conductance_scale(broken, clean, path),
-            fit_lumped_resistance(broken, path),
-            fit_lumped_log(broken, 1.0, 8.0, 8.0, path),
-        )
-        for path in ("compiled", "arrays")
-    ]
-    for fast, plain in zip(*pairs, strict=True):
-        np.testing.assert_allclose(fast.mean, plain.mean, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(fast.information, plain.information, rtol=1e-8)
-        np.testing.assert_allclose(fast.chi2, plain.chi2, rtol=1e-8, atol=1e-9)
-        for name in ("n_used", "steps", "code"):
-            np.testing.assert_array_equal(getattr(fast, name), getattr(plain, name))
-        assert fast.status[5] == "not_identifiable"
-        assert np.isnan(fast.mean[5])
-        assert fast.sd[5] == np.inf
+    for fit in (
+        fit_conductance_scale,
+        lambda samples, _: fit_lumped_resistance(samples),
+        lambda samples, _: fit_lumped_log(samples, 1.0, 8.0, 8.0),
+    ):
+        together = fit(broken, clean)
+        assert together.status[5] == "not_identifiable"
+        assert np.isnan(together.mean[5])
+        assert together.sd[5] == np.inf
+        for f in range(0, 200, 20):
+            at = slice(samples.starts[f], samples.starts[f + 1])
+            columns = {n: getattr(broken, n)[at] for n in COLUMNS}
+            alone = fit(ExchangerSamples(**columns, starts=np.array([0, lengths[f]])), clean[at])
+            np.testing.assert_allclose(alone.mean[0], together.mean[f], rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(alone.information[0], together.information[f], rtol=1e-8)
+            assert (alone.n_used[0], alone.code[0]) == (together.n_used[f], together.code[f])
 
 
-@both_paths
-def test_a_flight_s_answer_does_not_depend_on_its_neighbours(path):
+def test_a_flight_s_answer_does_not_depend_on_its_neighbours():
     samples, clean = snapshots(np.array([30, 7, 55, 30, 1]), np.array([0.0, 0.5, 0.1, 0.3, 0.2]), seed=11)
-    together = fit_conductance_scale(samples, clean, path)
+    together = fit_conductance_scale(samples, clean)
     for f in range(5):
         at = slice(samples.starts[f], samples.starts[f + 1])
         names = ("hot_flow_kg_s", "ram_flow_kg_s", "hot_in_k", "hot_out_k", "cold_in_k", "weight_per_k2")
         alone = ExchangerSamples(*(getattr(samples, n)[at] for n in names), np.array([0, at.stop - at.start]))
-        assert fit_conductance_scale(alone, clean[at], path).mean[0] == pytest.approx(together.mean[f], abs=1e-12)
+        assert fit_conductance_scale(alone, clean[at]).mean[0] == pytest.approx(together.mean[f], abs=1e-12)
 
 
-@both_paths
-def test_samples_that_say_nothing_are_passed_over(path):
+def test_samples_that_say_nothing_are_passed_over():
     samples, clean = snapshots(np.array([30]), np.array([0.2]), seed=13)
     spoiled = samples.hot_out_k.copy()
     spoiled[::2] = 999.0
@@ -187,26 +176,24 @@ def test_samples_that_say_nothing_are_passed_over(path):
         np.full(15, 4.0),
         np.array([0, 15]),
     )
-    left_out = fit_conductance_scale(changed(samples, hot_out_k=spoiled, weight_per_k2=weight), clean, path)
+    left_out = fit_conductance_scale(changed(samples, hot_out_k=spoiled, weight_per_k2=weight), clean)
     assert left_out.n_used[0] == 15
-    assert left_out.mean[0] == pytest.approx(fit_conductance_scale(every_other, clean[1::2], path).mean[0], abs=1e-12)
+    assert left_out.mean[0] == pytest.approx(fit_conductance_scale(every_other, clean[1::2]).mean[0], abs=1e-12)
 
 
-@both_paths
-def test_temperatures_no_exchanger_can_show(path):
+def test_temperatures_no_exchanger_can_show():
     samples, clean = snapshots(np.array([10, 10]), np.zeros(2))
     warm = np.concatenate([samples.hot_in_k[:10] + 5.0, samples.cold_in_k[10:] - 5.0])
-    fits = fit_conductance_scale(changed(samples, hot_out_k=warm), clean, path)
+    fits = fit_conductance_scale(changed(samples, hot_out_k=warm), clean)
     assert set(fits.status) <= {"at_bound", "max_steps"}
     assert fits.mean[0] < -3.0
     assert fits.mean[1] > 3.0
 
 
-@both_paths
 @pytest.mark.parametrize(
     ("hot_flow", "ram_flow", "ua"), [(0.25, 0.35, 1800.0), (0.25, 0.25, 8e3), (0.9, 0.9, 6e4), (0.03, 9.0, 200.0)]
 )
-def test_many_transfer_units_need_more_terms(path, hot_flow, ram_flow, ua):
+def test_many_transfer_units_need_more_terms(hot_flow, ram_flow, ua):
     """A small flow through a large exchanger: NTU of 6, 29 and 60; and far more ram than hot air."""
     n = 40
     hot, ram = np.full(n, hot_flow), np.full(n, ram_flow)
@@ -215,7 +202,7 @@ def test_many_transfer_units_need_more_terms(path, hot_flow, ram_flow, ua):
     samples = ExchangerSamples(
         hot, ram, np.full(n, 390.0), hot_out, np.full(n, 250.0), np.full(n, 4.0), np.array([0, n])
     )
-    assert fit_conductance_scale(samples, clean, path).mean[0] == pytest.approx(np.log(0.9), abs=1e-8)
+    assert fit_conductance_scale(samples, clean).mean[0] == pytest.approx(np.log(0.9), abs=1e-8)
 
 
 def record(h_w_k=2300.0, seconds=900, mass_kg=8.0, sigma_k=0.0, seed=0):
@@ -237,11 +224,10 @@ def record(h_w_k=2300.0, seconds=900, mass_kg=8.0, sigma_k=0.0, seed=0):
     return ExchangerSamples(*columns, np.full(seconds, 4.0), np.array([0, seconds]))
 
 
-@both_paths
 @pytest.mark.parametrize("h_w_k", [400.0, 2300.0, 20000.0])
 @pytest.mark.parametrize("mass_kg", [0.5, 8.0, 30.0])
-def test_log_gives_back_what_the_declared_model_simulated(path, h_w_k, mass_kg):
-    fit = fit_lumped_log(record(h_w_k, 300, mass_kg), 1.0, mass_kg, mass_kg, path)
+def test_log_gives_back_what_the_declared_model_simulated(h_w_k, mass_kg):
+    fit = fit_lumped_log(record(h_w_k, 300, mass_kg), 1.0, mass_kg, mass_kg)
     assert fit.mean[0] == pytest.approx(np.log(h_w_k), abs=1e-7)
     assert fit.status[0] == "converged"
 
@@ -267,12 +253,11 @@ def test_log_agrees_with_scipy_over_the_declared_model():
     assert fit.information[0] == pytest.approx((answer.jac.T @ answer.jac).item(), rel=1e-4)
 
 
-@both_paths
-def test_a_gap_in_the_log_costs_only_its_samples(path):
+def test_a_gap_in_the_log_costs_only_its_samples():
     whole = record(sigma_k=0.3)
     hot_out, ram = whole.hot_out_k.copy(), whole.ram_flow_kg_s.copy()
     hot_out[100:150] = np.nan
     ram[20] = np.nan
-    fit = fit_lumped_log(changed(whole, hot_out_k=hot_out, ram_flow_kg_s=ram), 1.0, 8.0, 8.0, path)
+    fit = fit_lumped_log(changed(whole, hot_out_k=hot_out, ram_flow_kg_s=ram), 1.0, 8.0, 8.0)
     assert fit.n_used[0] == 850
-    assert fit.mean[0] == pytest.approx(fit_lumped_log(whole, 1.0, 8.0, 8.0, path).mean[0], abs=3.0 * fit.sd[0])
+    assert fit.mean[0] == pytest.approx(fit_lumped_log(whole, 1.0, 8.0, 8.0).mean[0], abs=3.0 * fit.sd[0])
