@@ -67,8 +67,7 @@ def main() -> None:
     spent: Counter[str] = Counter()
     timed(spent)
     with tempfile.TemporaryDirectory() as scratch:
-        for _ in write_fleet(Path(scratch), 11, SIZES[options.size]):
-            pass
+        list(write_fleet(Path(scratch), 11, SIZES[options.size]))
         began = time.process_time()
         night(Path(scratch, "landing"), Path(scratch, "home"), shared=False)
         text = table(options.size, time.process_time() - began, spent)

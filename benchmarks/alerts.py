@@ -11,13 +11,21 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from benchmarks.detection import GROUP
 from benchmarks.fleets import Frames
 from benchmarks.harness import markdown
 from hdt_core.alerts.threshold_study import trials
 
 PACK = ["tail", "pack"]
 FOLLOWED, BEFORE = 200, 300
+GROUP = {
+    "HX_FOULING": "HX",
+    "HX_SUDDEN_CLOG": "HX",
+    "HX_LOW_MARGIN": "HX",
+    "CC_DEGRADED": "CC",
+    "RAM_DOOR_FAULT": "RAM_DOOR",
+    "SENSOR_FAULT": "SENSOR",
+}
+"""Component of each diagnosis."""
 COMPONENTS = {"HX": "exchanger", "CC": "compressor", "RAM_DOOR": "ram door", "SENSOR": "sensors"}
 CONFIRMED = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED")
 WORN = {"HX": 0.15, "CC": 0.05}

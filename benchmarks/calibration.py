@@ -19,9 +19,9 @@ import numpy as np
 import polars as pl
 
 from benchmarks.chain import admit_fleet
+from benchmarks.fleets import fleet_of
 from benchmarks.harness import arguments, show
 from benchmarks.known_design import SIZE, one_fleet
-from benchmarks.legs import fleet_of
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.calibrate import calibrate

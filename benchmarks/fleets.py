@@ -1,13 +1,15 @@
-"""Simulated fleets through the whole chain, as the benchmarks of detection and prognosis need them."""
+"""Simulated fleets: as recorded, with the legs of their flights, and through the whole chain."""
 
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
 from benchmarks.chain import RECORD, UP_TO_ALERTS, run
+from hdt_core.flight.legs import judge_legs
 from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
 from hdt_core.simulate.fleet import simulate_fleet
@@ -51,6 +53,25 @@ def simulate_record(seed: int, settings: FleetSettings) -> Frames:
         for name in ("health", "events"):
             frames[name].append(getattr(craft, name))
     return {name: pl.concat(parts, how="diagonal_relaxed") for name, parts in frames.items()}
+
+
+class Fleet(NamedTuple):
+    """Samples and first verdicts of a simulated fleet, its logs, and its truth on flights that arrived."""
+
+    legs: pl.DataFrame
+    samples: pl.DataFrame
+    maintenance: pl.DataFrame
+    messages: pl.DataFrame
+    truth: pl.DataFrame
+
+
+def fleet_of(seed: int, settings: FleetSettings) -> Fleet:
+    """Simulate a fleet and judge its legs by themselves, as before a first calibration."""
+    record = simulate_record(seed, settings)
+    snapshots, maintenance, messages = (record[name] for name in RECORD)
+    legs, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
+    truth = record["health"].filter("arrived").with_columns(pl.col("pack").cast(pl.Int32))
+    return Fleet(legs, samples, maintenance, messages, truth)
 
 
 def fly(seed: int, settings: FleetSettings) -> Frames:

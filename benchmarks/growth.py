@@ -117,9 +117,8 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         root, home, rows = Path(scratch), Path(scratch) / "home", []
-        for _ in write_fleet(root, 11, SIZES["S"]):
-            pass
-        measured("night", root / "landing", home)
+        list(write_fleet(root, 11, SIZES["S"]))
+        measured(root / "landing", home)
         store = Store(home)
         originals = sorted(store.read_table("raw_flights").select("operator", "tail").unique().rows())
         there = len(originals)

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.chain import admit_fleet
-from benchmarks.legs import fleet_of
+from benchmarks.fleets import fleet_of
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration import exchanger_fit
 from hdt_core.calibration.arrays import cruise_samples, flights_of

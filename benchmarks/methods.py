@@ -15,8 +15,8 @@ import numpy as np
 import polars as pl
 
 from benchmarks.chain import admit_fleet
+from benchmarks.fleets import fleet_of
 from benchmarks.harness import markdown
-from benchmarks.legs import fleet_of
 from benchmarks.promise import unpolished
 from hdt_core.calibration.arrays import complete_air_data, cruise_samples, flights_of
 from hdt_core.calibration.calibrate import calibrate

@@ -101,8 +101,7 @@ def days_passed(home: Path, days: int) -> Iterator[None]:
 
 def years(nights: int, scratch: Path) -> list[dict[str, float]]:
     """A row for each of the nights that are shown."""
-    for _ in write_fleet(scratch, 11, FLEET):
-        pass
+    list(write_fleet(scratch, 11, FLEET))
     landing, home, rows, measurements = scratch / "landing", scratch / "home", list[dict[str, float]](), list[dict]()
     night(landing, home)
     fleet = [Flown(f.parent) for f in sorted(landing.glob("*/*/acms"))]

@@ -26,7 +26,7 @@ def measure_store(landing: Path, home: Path) -> dict[str, object]:
     row: dict[str, object] = {}
     for what in ("night", "idle"):
         before = _requests()
-        row[what] = measured(what, landing, home)["wall_s"]
+        row[what] = measured(landing, home)["wall_s"]
         row[f"{what}_requests"] = _since(before)
     before, began = _requests(), time.monotonic()
     write_report(home, home.with_suffix(".html"))
@@ -76,8 +76,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
-        for _ in write_fleet(root, 11, SIZES[options.size]):
-            pass
+        list(write_fleet(root, 11, SIZES[options.size]))
         rows = {"local files": measure_store(root / "landing", root / "local")}
         with object_server.serving(root / "s3") as variables:
             os.environ |= {**variables, URL: f"s3://{object_server.BUCKET}/fleet"}

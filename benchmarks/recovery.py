@@ -53,8 +53,7 @@ PARTS = {
 
 def killed(root: Path) -> tuple[Path, Path]:
     """Landing zone and home of a small night that was killed between its marks."""
-    for _ in write_fleet(root, 3, FleetSettings(operators=1, tails=1, flights=30)):
-        pass
+    list(write_fleet(root, 3, FleetSettings(operators=1, tails=1, flights=30)))
     landing, home = root / "landing", root / "home"
     command = [sys.executable, "-m", "benchmarks.recovery", "--child", "night", str(landing), str(home)]
     done = subprocess.run(command, check=False)

@@ -20,11 +20,10 @@ import numpy as np
 import polars as pl
 
 from benchmarks.chain import admit_fleet
-from benchmarks.fleets import simulate_record
+from benchmarks.fleets import fleet_of
 from benchmarks.harness import put
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.windows import baseline_flights
 from hdt_core.records.keys import IN_ORDER
 from hdt_core.robust import Z_90, spread_expr
@@ -58,23 +57,20 @@ class Fleet(NamedTuple):
 def fleets(seeds: range, size: FleetSettings) -> Iterator[Fleet]:
     """Calibrate, estimate and track each fleet as a night would."""
     for seed in seeds:
-        record = simulate_record(seed, size)
-        snapshots, maintenance, messages = (record[name] for name in ("snapshots", "maintenance", "messages"))
-        legs, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
-        within = pl.col("flight_id").is_in(baseline_flights(legs))
-        admitted = admit_fleet(legs.filter(within), samples.filter(within), maintenance.clear(), messages.clear())
-        model = calibrate(samples, admitted, maintenance)
+        flown = fleet_of(seed, size)
+        within = pl.col("flight_id").is_in(baseline_flights(flown.legs))
+        logs = flown.maintenance.clear(), flown.messages.clear()
+        admitted = admit_fleet(flown.legs.filter(within), flown.samples.filter(within), *logs)
+        model = calibrate(flown.samples, admitted, flown.maintenance)
         start = time.process_time()
-        alone = estimate_flights(samples, model)
-        health = track(alone, maintenance, model).health
+        alone = estimate_flights(flown.samples, model)
+        health = track(alone, flown.maintenance, model).health
         seconds = time.process_time() - start
-        truth = record["health"].with_columns(
-            pl.col("pack").cast(pl.Int32), a=1.0 - pl.col("apparent_ua_ratio"), t=1.0 - pl.col("ua_ratio")
-        )
+        truth = flown.truth.with_columns(a=1.0 - pl.col("apparent_ua_ratio"), t=1.0 - pl.col("ua_ratio"))
         alone_loss = alone.select(*KEY, single=1.0 - (pl.col("ln_ua_ratio") - model.clean_level).exp())
         rows = health.filter(pl.col("value").is_not_null()).join(truth, on=KEY, suffix="_true").join(alone_loss, on=KEY)
         rows = rows.with_columns(seed=pl.lit(seed)).sort("parameter", *IN_ORDER)
-        yield Fleet(seed, model.ram_balance_seen, rows, snapshots["flight_id"].n_unique(), seconds)
+        yield Fleet(seed, model.ram_balance_seen, rows, flown.samples["flight_id"].n_unique(), seconds)
 
 
 def per_pack(frame: pl.DataFrame, expr: pl.Expr) -> float:
