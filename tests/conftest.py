@@ -1,7 +1,6 @@
 """Shared homes: a full nightly run over a part of the sample fleet, made once for all test processes."""
 
 import atexit
-import fcntl
 import os
 import shutil
 import uuid
@@ -11,7 +10,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 from long_tests import pytest_addoption, pytest_configure  # noqa: F401 - hooks
-from nights import run
+from nights import once, run
 
 from benchmarks import object_server
 
@@ -32,17 +31,6 @@ if IN_MEMORY.is_dir() and os.access(IN_MEMORY, os.W_OK) and shutil.disk_usage(IN
 
 SAMPLES = Path(__file__).parents[1] / "data_samples"
 AIRCRAFT = ("AQX/LX-AAB", "BZR/A9-BAC")
-
-
-def once(tmp_path_factory: pytest.TempPathFactory, name: str, make) -> Path:
-    """A folder that one test process makes and all share; none may write to it."""
-    worker = tmp_path_factory.getbasetemp()
-    shared = (worker.parent if worker.name.startswith("popen-") else worker) / name
-    with open(shared.with_suffix(".lock"), "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not shared.exists():
-            make(shared)
-    return shared
 
 
 def take(landing: Path, aircraft: tuple[str, ...] = AIRCRAFT) -> None:

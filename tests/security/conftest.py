@@ -10,7 +10,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 from hostile import CANARY, plant
-from nights import keep_base
+from nights import keep_base, once
 from zones import drop_fleet, simulated
 
 from pipelines.storage.catalog import connect
@@ -32,7 +32,15 @@ class Watched:
 @pytest.fixture(scope="session")
 def watched(tmp_path_factory: pytest.TempPathFactory, sample_home: Path) -> Watched:
     """A good aircraft among all that is hostile; a secret in the environment."""
-    root = tmp_path_factory.mktemp("watched")
+    root = once(tmp_path_factory, "watched", lambda root: _watch_a_night(root, sample_home))
+    report = json.loads((root / "told.json").read_text())
+    with connect(root / "home") as con:
+        aside = con.sql("select * from quarantine").pl()
+    return Watched(root, root / "landing", root / "home", report["failed"], report["events"], aside, report["output"])
+
+
+def _watch_a_night(root: Path, sample_home: Path) -> None:
+    root.mkdir()
     landing, home = root / "landing", root / "home"
     zone = simulated(5, 3, operator="QQX", tail="Z9")
     drop_fleet(landing, [zone])
@@ -52,6 +60,4 @@ def watched(tmp_path_factory: pytest.TempPathFactory, sample_home: Path) -> Watc
     )
     assert done.returncode == 0, done.stderr[-3000:]
     report = json.loads((root / "told.json").read_text())
-    with connect(home) as con:
-        aside = con.sql("select * from quarantine").pl()
-    return Watched(root, landing, home, report["failed"], report["events"], aside, done.stdout + done.stderr)
+    (root / "told.json").write_text(json.dumps(report | {"output": done.stdout + done.stderr}))

@@ -1,9 +1,12 @@
 """A night as the command runs it, without bars."""
 
+import fcntl
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+
+import pytest
 
 from pipelines.lineage import STAGES, Stage
 from pipelines.orchestration.around_night import lock_home
@@ -45,3 +48,14 @@ def keep_base(source: Path, home: Path) -> None:
     target.parent.mkdir(parents=True)
     shutil.copytree(source / "tables/prognosis_base", target)
     Ledger(home).mark("prognosis_base", Ledger(source).cells("prognosis_base"))
+
+
+def once(tmp_path_factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
+    """A folder that one test process makes and all share; none may write to it."""
+    worker = tmp_path_factory.getbasetemp()
+    shared = (worker.parent if worker.name.startswith("popen-") else worker) / name
+    with open(shared.with_suffix(".lock"), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not shared.exists():
+            make(shared)
+    return shared
