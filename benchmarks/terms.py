@@ -21,10 +21,11 @@ from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.robust import spread
 from hdt_core.simulate.design import FleetSettings
 from pipelines.baseline import baseline_cells
-from pipelines.casework.terms import accept, proposals
+from pipelines.cli.look import propose_terms
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import nightly
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.settings import accept_terms
 from pipelines.storage.store import Store
 
 
@@ -61,7 +62,7 @@ def night(folder: Path) -> tuple[Outcome, pl.DataFrame]:
     dsm = Dsm.from_dict(json.loads(store.read_table("calibration_dsm")["model"][0]))
     now, terms_proposed = (
         Outcome(residual(home), *errors(store, folder / "truth")),
-        proposals(home, dsm).filter("proposed"),
+        propose_terms(home, dsm).filter("proposed"),
     )
     terms = {name: round(value, 3) for name, value in dsm.terms.items()}
     print(f"  has {terms}: residual {now.residual:.4f}, loss off by {now.bias:+.4f}, {now.error:.4f} absolute")
@@ -78,7 +79,7 @@ def fleet(seed: int, missing: dict[str, float]) -> list[Outcome]:
         outcome, terms_proposed = night(folder)
         if not terms_proposed.height:
             return [outcome]
-        accept(folder / "home", terms_proposed["term"].to_list())
+        accept_terms(folder / "home", terms_proposed["term"].to_list())
         return [outcome, night(folder)[0]]
 
 

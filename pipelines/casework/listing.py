@@ -25,19 +25,15 @@ def list_cases(home: Path, where: str = OPEN, **values: Any) -> list[dict[str, A
     values : Any
         Values of its `$name` places.
     """
-    order = "left join open_alerts as o using (alert_id)", "order by o.place nulls last, c.raised_at, c.alert_id"
-    return _query(home, where, *order, **values)
-
-
-def _query(home: Path, where: str, join: str = "", order: str = "", **values: Any) -> list[dict[str, Any]]:
-    """Return the cases that fulfil a condition."""
     query = views()["cases"].partition(_DEFINITION)[2].strip().removesuffix(";")
     query = query.replace("tables.raw_cases", "case_log_rows")
     with connect(home) as con:
         con.register("case_log_rows", CaseLog(home).entries().to_arrow())
         result = con.execute(
             f"""select c.*, s.now_loss, s.now_p_event_50, s.evidence_now, s.recommended_action, s.follows
-            from ({query}) as c join alert_states as s using (alert_id) {join} where {where} {order}""",
+            from ({query}) as c
+            join alert_states as s using (alert_id) left join open_alerts as o using (alert_id)
+            where {where} order by o.place nulls last, c.raised_at, c.alert_id""",
             values,
         )
         return fetch_dicts(result)
@@ -51,7 +47,7 @@ def find_case(home: Path, alert_id: str) -> dict[str, Any]:
     LookupError
         No alert id, or several, start so.
     """
-    cases = _query(home, "starts_with(c.alert_id, $id)", id=alert_id) if alert_id else []
+    cases = list_cases(home, "starts_with(c.alert_id, $id)", id=alert_id) if alert_id else []
     if len(cases) != 1:
         raise LookupError(f"{'several alerts' if cases else 'no alert'} {alert_id}; `hdt case list` names them")
     return cases[0]

@@ -4,13 +4,17 @@ import json
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import polars as pl
 import typer
 from rich.table import Table
 
 from pipelines.cli.base import AsJson, HomeDir, Language, StopError, app, home_folder, in_language, out, print_error
 from pipelines.cli.stops import stop_at_once
+
+if TYPE_CHECKING:
+    from hdt_core.calibration.dsm import Dsm
 
 
 @app.command()
@@ -152,9 +156,7 @@ def terms(
     """
     from hdt_core.calibration.dsm import Dsm
     from hdt_core.physics.terms import TERMS
-    from pipelines.casework.terms import accept as write
-    from pipelines.casework.terms import proposals
-    from pipelines.storage.settings import accepted_terms
+    from pipelines.storage.settings import accept_terms, accepted_terms
     from pipelines.storage.store import Store
 
     where = home_folder(home)
@@ -162,14 +164,14 @@ def terms(
     if extra:
         raise StopError(f"no term {', '.join(extra)}; there are {', '.join(sorted(TERMS))}")
     if accept or drop:
-        write(where, [n for n in {*accepted_terms(where), *(accept or ())} if n not in (drop or ())])
+        accept_terms(where, [n for n in {*accepted_terms(where), *(accept or ())} if n not in (drop or ())])
         out.print(f"Terms from the next night on: {', '.join(accepted_terms(where)) or 'none'}")
         return
     models = Store(where).read_table("calibration_dsm")
     if not models.height:
         raise StopError("no model yet; run `hdt nightly` first")
     dsm = Dsm.from_dict(json.loads(models["model"][0]))
-    evidence = proposals(where, dsm)
+    evidence = propose_terms(where, dsm)
     if as_json:
         out.print_json(json.dumps({"accepted": dsm.terms, "terms": evidence.to_dicts()}))
         return
@@ -177,6 +179,20 @@ def terms(
         out.print(f"accepted  {name} = {value:.3g} {TERMS[name].unit}")
     for row in evidence.iter_rows(named=True):
         out.print(_term_line(row))
+
+
+def propose_terms(home: Path, dsm: "Dsm") -> pl.DataFrame:
+    """Return the evidence for each term that the model in service lacks, from the flights of its baseline."""
+    from hdt_core.calibration.calibrate import baseline_samples
+    from hdt_core.calibration.flight_estimates import estimate_flights
+    from hdt_core.calibration.missing_physics import propose
+    from pipelines.baseline import baseline_cells
+    from pipelines.storage.ledger import Ledger
+    from pipelines.storage.store import Store
+
+    flights = baseline_cells(Ledger(home))["flight_id"]
+    samples = Store(home).scan("legs_samples").filter(pl.col("flight_id").is_in(flights.implode())).collect()
+    return propose(estimate_flights(baseline_samples(samples), dsm), dsm)
 
 
 def _term_line(row: dict[str, Any]) -> str:

@@ -31,7 +31,7 @@ def serve(
     """
     where = home_folder(home).resolve()
     try:
-        from pipelines.web.casebook import application, read_ahead
+        from pipelines.web.casebook import application
         from pipelines.web.guard import LOCAL
         from pipelines.web.roles import FILE, RolesError, local_person, read_people
         from pipelines.web.sign_in import LocalToken, ProxyHeader
@@ -49,10 +49,9 @@ def serve(
     if behind and not people:
         raise StopError(f"nobody has a role yet; name people below [people] in {where / FILE}")
     with _listening(listen, port) as sock:
-        board = read_ahead(where)
         address = f"http://127.0.0.1:{sock.getsockname()[1]}/"
         out.print(f"Cases: {address}{'' if behind else f'?token={sign_in.token}'}")
-        application(where, LOCAL | set(name or ()), behind or sign_in, board).serve(sock)
+        application(where, LOCAL | set(name or ()), behind or sign_in).serve(sock)
 
 
 @app.command()

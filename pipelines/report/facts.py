@@ -98,19 +98,6 @@ class Facts:
         return self.frames[name].filter(operator=operator, tail=tail, pack=pack)
 
 
-_TONIGHT = (
-    "ranking", "components", "component_losses", "flights", "health", "alerts", "stops", "outlooks",
-    "margins", "maintenance", "messages", "gaps", "cases", "hit_rates",
-)  # fmt: skip
-
-
-def read_frames(home: Path) -> Facts:
-    """Read what the table of tonight and its cards show, without other parts and the data of the figures."""
-    with connect(home) as con:
-        frames, none = {name: _frame(con, _FRAMES[name]) for name in _TONIGHT}, pl.DataFrame()
-        return Facts(frames, none, none, none, {}, None, read_tasks(home))
-
-
 def read_facts(home: Path) -> Facts:
     """Read the facts of a home."""
     with connect(home) as con:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hdt_core.toml_text import parse_toml
+from pipelines.storage.files import replacing
 from pipelines.storage.objects import StoreError
 
 if TYPE_CHECKING:
@@ -37,6 +38,23 @@ def accepted_terms(home: Path) -> tuple[str, ...]:
     if unknown := [name for name in names if name not in TERMS]:
         raise StoreError(f"{file} has no term a line: {unknown[0]!r:.40}; there are {', '.join(sorted(TERMS))}")
     return tuple(names)
+
+
+def accept_terms(home: Path, names: Iterable[str]) -> None:
+    """Write the terms of the model from the next night on to `terms.txt`.
+
+    Raises
+    ------
+    KeyError
+        A name that the library does not have.
+    """
+    from hdt_core.physics.terms import TERMS
+
+    accepted = sorted(set(names))
+    for name in accepted:
+        TERMS[name]
+    with replacing(terms_file(home)) as temporary:
+        temporary.write_text("".join(f"{name}\n" for name in accepted), encoding="utf-8")
 
 
 def read_values(file: Path, names: Iterable[str]) -> dict[str, Any]:

@@ -6,11 +6,10 @@ The page reads the catalog and the log of cases and writes only lines of that lo
 import re
 import sqlite3
 import threading
-from collections.abc import Collection
-from contextlib import suppress
+from collections.abc import Callable, Collection
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import duckdb
 from starlette.applications import Starlette
@@ -20,13 +19,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from pipelines.casework.board import Board, Row, component_key
 from pipelines.casework.changes import ACTIONS, KINDS, change_case, findings
+from pipelines.casework.listing import OPEN, history_of, list_cases
 from pipelines.digest.changes import Digest, changes_since
 from pipelines.digest.render import lines
 from pipelines.report import words
 from pipelines.report.cards import tonight_with_cards
-from pipelines.report.facts import read_frames
+from pipelines.report.facts import read_facts
 from pipelines.storage.cases import ConflictError
 from pipelines.storage.catalog import catalog_version
 from pipelines.storage.postgres import DatabaseError
@@ -38,12 +37,14 @@ from pipelines.web.sign_in import LocalToken, SignIn
 MAX_BODY = 64 << 10
 _FIELDS = ("note", "assignee", "until", "finding", "action", "on", "reference")
 _READING = threading.Lock()
+Row = dict[str, Any]
+Result = TypeVar("Result")
 _UNREADABLE = (OSError, DatabaseError, duckdb.Error, sqlite3.Error)
 
 
-def application(home: Path, names: Collection[str], sign_in: SignIn, board: Board | None = None) -> Guard:
-    """Build the page of a home, reachable by the host `names` after `sign_in`; `board` may have been read ahead."""
-    casebook = Casebook(board or Board(home), with_logout=isinstance(sign_in, LocalToken))
+def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
+    """Build the page of a home, reachable by the host `names` after `sign_in`."""
+    casebook = Casebook(home, with_logout=isinstance(sign_in, LocalToken))
     routes = [
         Route("/", casebook.list, methods=["GET"]),
         Route("/unit/{card:str}", casebook.unit, methods=["GET"]),
@@ -56,23 +57,25 @@ def application(home: Path, names: Collection[str], sign_in: SignIn, board: Boar
 
 @lru_cache(maxsize=1)
 def _shift_of(home: Path, _version: tuple[int, int]) -> tuple[dict[str, Any], Digest]:
-    return tonight_with_cards(read_frames(home), alert_limits(home).fouling), changes_since(home)
+    return tonight_with_cards(read_facts(home), alert_limits(home).fouling), changes_since(home)
 
 
 def _read_shift(home: Path) -> tuple[dict[str, Any], Digest]:
-    """Read table and cards of the report, and the changes since the night before, once a night; others wait."""
-    with _READING:
-        return _shift_of(home, catalog_version(home))
+    """Read table and cards of the report, and the changes since the night before, once a night."""
+    return _shift_of(home, catalog_version(home))
 
 
-def read_ahead(home: Path) -> Board:
-    """Read the night and load what pages need, so that the first answer is as quick as the others."""
-    board = Board(home)
-    with suppress(*_UNREADABLE):  # each page reports it
-        _read_shift(home)
-        board.read()
-    html_page("message.html", title="Cases", message="")
-    return board
+async def _read(query: Callable[..., Result], *values: Any, **named: Any) -> Result:
+    """Run a query of the catalog in a thread, one at a time.
+
+    While a connection is open DuckDB opens the same file for others of the process, also where a night replaced it.
+    """
+
+    def run() -> Result:
+        with _READING:
+            return query(*values, **named)
+
+    return await run_in_threadpool(run)
 
 
 def _links(rows: list[Row], cases: list[Row]) -> dict[tuple[Any, ...], str]:
@@ -80,7 +83,7 @@ def _links(rows: list[Row], cases: list[Row]) -> dict[tuple[Any, ...], str]:
     units = {r["unit"] for r in rows}
     links: dict[tuple[Any, ...], str] = {}
     for case in (c for c in cases if c["closed_at"] is None):
-        unit = component_key(case)
+        unit = (*words.unit_key(case), case["component"])
         links.setdefault(unit if unit in units else unit[:3], f"/case/{case['alert_id']}")
     return links
 
@@ -90,32 +93,31 @@ class Casebook:
 
     Parameters
     ----------
-    board : Board
-        Cases of the home.
+    home : Path
+        Home that the page shows.
     with_logout : bool
         Whether this server holds the session and can end it.
     """
 
-    def __init__(self, board: Board, with_logout: bool) -> None:
-        self.home, self.board, self.with_logout = board.home, board, with_logout
+    def __init__(self, home: Path, with_logout: bool) -> None:
+        self.home, self.with_logout = home, with_logout
 
     async def list(self, request: Request) -> Response:
         """Show what changed, the units in need of attention and the open cases, or all, of the person's operators."""
         person, every = request.state.person, "all" in request.query_params
-        snapshot = await run_in_threadpool(self.board.read)
-        own = [c for c in snapshot.cases.values() if person.may_read(c["operator"])]
-        cases = [c for c in own if every or c["state"] != "closed"]
-        table, digest = await run_in_threadpool(_read_shift, self.home)
+        every_case = await _read(list_cases, self.home, "true" if every else OPEN)
+        cases = [c for c in every_case if person.may_read(c["operator"])]
+        table, digest = await _read(_read_shift, self.home)
         rows = [r for r in table["rows"] if person.may_read(r["operator"])]
         changes = [digest.of(o) for o in person.operators or (None,)] if digest.since else []
         return self._page(
             request, "cases.html", title="Cases", cases=cases, every=every, rows=rows, ticks=table["ticks"],
-            links=_links(rows, own), changes=[group for own_changes in changes for group in lines(own_changes)],
+            links=_links(rows, cases), changes=[group for own_changes in changes for group in lines(own_changes)],
         )  # fmt: skip
 
     async def unit(self, request: Request) -> Response:
         """Show the card of one unit."""
-        table, _digest = await run_in_threadpool(_read_shift, self.home)
+        table, _digest = await _read(_read_shift, self.home)
         own = [c for c in table["cards"] if request.state.person.may_read(c["operator"])]
         card = next((c for c in own if c["card"] == request.path_params["card"]), None)
         if card is None:
@@ -156,16 +158,16 @@ class Casebook:
 
     async def _find(self, request: Request) -> Row | None:
         """Return the case of the full alert id in the address, if the person may read it."""
-        case = (await run_in_threadpool(self.board.read)).cases.get(request.path_params["alert_id"])
-        return case if case and request.state.person.may_read(case["operator"]) else None
+        cases = await _read(list_cases, self.home, "c.alert_id = $id", id=request.path_params["alert_id"])
+        return next((c for c in cases if request.state.person.may_read(c["operator"])), None)
 
     async def _case(self, request: Request, status: int = 200, message: str = "") -> Response:
-        board, case = await run_in_threadpool(self.board.read), await self._find(request)
+        case = await self._find(request)
         if case is None:
             return self._none(request)
-        table, _digest = await run_in_threadpool(_read_shift, self.home)
+        table, _digest = await _read(_read_shift, self.home)
         cards = {c["unit"]: c for c in table["cards"]}
-        unit = component_key(case)
+        unit = (*words.unit_key(case), case["component"])
         card = cards.get(unit) or cards.get(unit[:3])
         own = [a for a in card["alerts"] if a["alert_id"] == case["alert_id"]] if card else []
         alerts = [a | {"case": []} for a in own]  # its state stands below as it is now
@@ -173,7 +175,7 @@ class Casebook:
             "title": f"{words.unit_name(case)}: {words.diagnosis(case['diagnosis'])}",
             "card": card and card | {"alerts": alerts},
             "hit_rates": table["hit_rates"],
-            "history": board.history.get(case["alert_id"], []),
+            "history": await run_in_threadpool(history_of, self.home, case["alert_id"]),
             "findings": list(findings(case["component"])),
         }
         return self._page(request, "case.html", status, case=case, message=message, actions=ACTIONS, **context)

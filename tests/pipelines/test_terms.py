@@ -4,18 +4,17 @@ import pytest
 from typer.testing import CliRunner
 
 from pipelines.baseline import baseline_inputs
-from pipelines.casework.terms import accept
 from pipelines.cli import app
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.settings import accepted_terms, terms_file
+from pipelines.storage.settings import accept_terms, accepted_terms, terms_file
 
 
 def test_what_is_accepted_makes_the_model_stale(tmp_path):
     before = baseline_inputs(Ledger(tmp_path))
-    accept(tmp_path, ["water_spray", "flow_leak", "water_spray"])
+    accept_terms(tmp_path, ["water_spray", "flow_leak", "water_spray"])
     assert accepted_terms(tmp_path) == ("flow_leak", "water_spray")
     assert baseline_inputs(Ledger(tmp_path)) == [*before, "term flow_leak", "term water_spray"]
-    accept(tmp_path, [])
+    accept_terms(tmp_path, [])
     assert baseline_inputs(Ledger(tmp_path)) == before
 
 
@@ -26,7 +25,7 @@ def test_the_file_may_be_written_by_hand(tmp_path):
 
 def test_an_unknown_name_is_refused(tmp_path):
     with pytest.raises(KeyError):
-        accept(tmp_path, ["unheard_of"])
+        accept_terms(tmp_path, ["unheard_of"])
     assert not terms_file(tmp_path).exists()
 
 

@@ -109,6 +109,14 @@ def test_the_shift_starts_with_the_table_of_the_report_and_links_lead_to_cases(p
     assert "style=" not in first
 
 
+def test_a_night_shows_at_once(tmp_path):
+    home = case_home(tmp_path / "home")
+    client = Client(application(home, LOCAL, lambda request: Person("Eng")))
+    assert "20\N{NO-BREAK SPACE}% (18 to 22)" in client.get("/").text
+    case_home(home, loss=0.3)
+    assert "30\N{NO-BREAK SPACE}% (28 to 32)" in client.get("/").text
+
+
 def test_what_comes_from_another_page_changes_nothing(page, home):
     client = page("Eng")
     good = {"kind": "acknowledge", "seen": "0"}
