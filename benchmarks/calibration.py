@@ -13,14 +13,13 @@ import textwrap
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import polars as pl
 
 from benchmarks.chain import admit_fleet
 from benchmarks.fleets import fleet_of
-from benchmarks.harness import arguments, show
+from benchmarks.harness import DOCS, arguments, markdown, show
 from benchmarks.known_design import SIZE, one_fleet
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
@@ -31,7 +30,7 @@ from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.robust import Z_90
 from hdt_core.tracking.sequential import flight_by_flight
 
-PAGE = Path(__file__).parents[1] / "docs" / "calibration.md"
+PAGE = DOCS / "calibration.md"
 Z95 = 1.960
 
 
@@ -69,13 +68,14 @@ def speed(tails: int = 50, flights: int = 2000) -> str:
     n = samples["flight_id"].n_unique()
     whole = f"calibration, {tails} aircraft, {n:,} flights, {samples.height:,} samples"
     timed = ((whole, calibrated), ("health of each of these flights from the model", estimated))
-    rows = [f"| {name} | {wall:.0f} | {cpu:.0f} |" for name, (wall, cpu) in timed]
-    return "\n".join(["| | wall [s] | CPU [s] |", "| --- | ---: | ---: |", *rows])
+    return markdown(
+        [["", "wall [s]", "CPU [s]"], *([name, f"{wall:.0f}", f"{cpu:.0f}"] for name, (wall, cpu) in timed)]
+    )
 
 
-def recursion(seed: int = 1) -> str:
+def recursion() -> str:
     """Figure 10: warm against cold, and how far the answers are apart."""
-    fleet = fleet_of(seed, replace(SIZE, tails=1))
+    fleet = fleet_of(1, replace(SIZE, tails=1))
     legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     cruise = cruise_samples(fleet.samples.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi"))
     free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
@@ -152,11 +152,10 @@ def table(fleets: pl.DataFrame) -> str:
             f"{logged:.2f} / {silent:.2f} of {fleets['renewals_silent'].sum():.0f}",
         ),
     ]
-    lines = [f"| {a} | {b} | {c} |" for a, b, c in rows]
     note = (
         f"{fleets.height} fleets, {metered.height} with a ram outlet sensor on some aircraft / {blind.height} without"
     )
-    return "\n".join([f"{note} any.", "", "| measure | goal | measured |", "| --- | --- | ---: |", *lines])
+    return f"{note} any.\n\n{markdown([('measure', 'goal', 'measured'), *rows])}"
 
 
 def main() -> None:

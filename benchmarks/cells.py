@@ -25,14 +25,14 @@ from dagster._core.events import StepMaterializationData
 from dagster._core.events.log import EventLogEntry
 from dagster._core.storage.partition_status_cache import get_and_update_asset_status_cache_value
 
-from benchmarks.harness import arguments, machine, show
+from benchmarks.harness import arguments, machine, markdown, show
+from benchmarks.scale import PAGE
 from pipelines import partitions
 from pipelines.orchestration.batches import CELLS_A_RUN, PartitionBatch
 from pipelines.orchestration.runs import BY, Runner, open_instance
 from pipelines.resources import report
 from pipelines.storage.ledger import Ledger
 
-PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
 FLIGHTS = [
     f"{2016 + day // 336}{day // 28 % 12 + 1:02}{day % 28 + 1:02}_{leg:02}" for day in range(3334) for leg in (1, 2, 3)
 ]
@@ -203,21 +203,14 @@ def measured(history: History, sizes: list[int]) -> list[dict[str, float]]:
 
 def table(results: dict[str, list[dict[str, float]]]) -> str:
     """Return the table as Markdown."""
-    lines = [
-        "| event log | cells | a run of 1,000 [s] | bytes a cell | status of all cells, first [s] | again [s]"
-        " | all made cells [s] |",
-        "| --- |" + " ---: |" * 6,
-    ]
+    head = ["event log", "cells", "a run of 1,000 [s]", "bytes a cell", "status of all cells, first [s]", "again [s]"]
+    lines = [[*head, "all made cells [s]"]]
     for name, rows in results.items():
-        lines += [
-            f"| {name} | {r['cells']:,} | {r['run_s']:.2f} | {r['bytes']:.0f} | {r['page_first_s']:.2f}"
-            f" | {r['page_again_s']:.2f} | {r['all_s']:.2f} |"
-            for r in rows
-        ]
+        for r in rows:
+            seconds = (f"{r[c]:.2f}" for c in ("page_first_s", "page_again_s", "all_s"))
+            lines.append([name, f"{r['cells']:,}", f"{r['run_s']:.2f}", f"{r['bytes']:.0f}", *seconds])
     times = ", ".join(f"{rows[0]['register_s']:.1f} s in {name}" for name, rows in results.items())
-    lines.append(f"\nRegistering {len(FLIGHTS):,} flight keys and the aircraft: {times}.")
-    lines.append(machine())
-    return "\n".join(lines)
+    return f"{markdown(lines)}\n\nRegistering {len(FLIGHTS):,} flight keys and the aircraft: {times}.\n{machine()}"
 
 
 def main() -> None:

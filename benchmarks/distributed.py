@@ -17,13 +17,13 @@ from pathlib import Path
 from dagster import DagsterRun, RunsFilter
 
 from benchmarks.fingerprint import fingerprint
-from benchmarks.harness import arguments, machine, show
+from benchmarks.harness import DOCS, arguments, machine, markdown, show
 from benchmarks.site import Site, restart_broker, site, wait
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.partitions import NIGHT
 
-PAGE = Path(__file__).parents[1] / "docs" / "storage.md"
+PAGE = DOCS / "storage.md"
 SHARED = {"raw_flights", "twin_flights", "features"}
 """A table of each step whose blocks are made side by side."""
 N_STORED = "select count(distinct tail) from done where asset = 'raw_flights'"
@@ -43,17 +43,15 @@ class Row:
     tables: dict[str, str]
     load: float
 
-    def line(self, first: "Row", flights: int, workers: int) -> str:
+    def line(self, first: "Row", flights: int, workers: int) -> list[str]:
         """Of the table."""
         same = "equal" if self.tables == first.tables else "DIFFER: " + ", ".join(
             t for t in self.tables if self.tables[t] != first.tables[t]
         )  # fmt: skip
         aside = f"{1 - self.work_s / (workers * self.shared_s):.0%}" if self.shared_s else ""
         rate = f"{flights / self.shared_s:.0f}" if self.shared_s else ""
-        return (
-            f"| {self.how} | {self.wall_s:.0f} | {rate} | {aside} | {self.runs} | {self.retried} | {self.twice}"
-            f" | {same} | {self.load:.1f} |"
-        )
+        counts = [str(n) for n in (self.runs, self.retried, self.twice)]
+        return [self.how, f"{self.wall_s:.0f}", rate, aside, *counts, same, f"{self.load:.1f}"]
 
 
 def alone(fleet: Site) -> Row:
@@ -151,18 +149,13 @@ def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
     """Return the table as Markdown."""
     first, by = rows[0][0], {row.how: row for row, _ in rows}
     speedup = by["one worker"].shared_s / by["two workers"].shared_s
-    head = "| backfill | wall [s] | flights/s | not in steps | runs | retried | cells twice | tables | load |"
-    return "\n".join(
-        [
-            f"{aircraft} aircraft, {flights:,} flights:\n",
-            head,
-            "| --- |" + " ---: |" * 6 + " --- | ---: |",
-            *(row.line(first, flights, workers) for row, workers in rows),
-            f"\nThroughput of the steps that are shared out, two workers to one: {speedup:.2f}; of the whole backfill:"
-            f" {by['one worker'].wall_s / by['two workers'].wall_s:.2f}.",
-            f"\n{machine()}",
-        ]
+    head = ["backfill", "wall [s]", "flights/s", "not in steps", "runs", "retried", "cells twice", "tables", "load"]
+    lines = [head, *(row.line(first, flights, workers) for row, workers in rows)]
+    whole = by["one worker"].wall_s / by["two workers"].wall_s
+    shared = (
+        f"Throughput of the steps that are shared out, two workers to one: {speedup:.2f}; of the whole: {whole:.2f}."
     )
+    return f"{aircraft} aircraft, {flights:,} flights:\n\n{markdown(lines)}\n\n{shared}\n\n{machine()}"
 
 
 def main() -> None:

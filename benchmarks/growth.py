@@ -8,28 +8,24 @@ catalog, and of some questions, each the median of several askings. `--write` pu
 import tempfile
 import time
 from pathlib import Path
-from statistics import median
 
 import polars as pl
 
-from benchmarks.harness import arguments, machine, show
-from benchmarks.scale import SIZES, measured
+from benchmarks.harness import arguments, machine, markdown, show
+from benchmarks.scale import PAGE, RANKING, SIZES, measured, query_ms
 from hdt_core.tables import TABLES
 from pipelines.intake.simulated import write_fleet
-from pipelines.storage.catalog import connect
 from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, Store
 
-PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
 QUESTIONS = {
-    "fleet's ranking": "select * from fleet_ranking order by place",
+    "fleet's ranking": RANKING,
     "one pack's fouling": "select * from health_parameters where tail = (select min(tail) from fleet_ranking)"
     " and pack = 1 and parameter = 'hx_fouling'",
     "open alerts": "select * from alerts where closed_at is null",
     "flights a month": "select date_trunc('month', departed_at), count(*) from flights group by all",
     "mean residual by signal": "select signal, avg(mean) from residuals group by signal",
 }
-ROUNDS = 5
 Aircraft = tuple[str, str]
 
 
@@ -75,20 +71,6 @@ def _renamed(frame: pl.DataFrame, tail: str, name: str) -> pl.DataFrame:
     return frame.with_columns(pl.lit(name).alias("tail"), *renamed)
 
 
-def query_times_ms(home: Path) -> dict[str, float]:
-    """Return the time of each query. [ms]"""
-    times_ms = {}
-    with connect(home) as con:
-        for name, sql in QUESTIONS.items():
-            rounds = []
-            for _ in range(ROUNDS):
-                began = time.perf_counter()
-                con.execute(sql).fetchall()
-                rounds.append(1e3 * (time.perf_counter() - began))
-            times_ms[name] = median(rounds)
-    return times_ms
-
-
 def row(home: Path, aircraft: int) -> dict[str, float]:
     """Measure size and response times of a home."""
     files = list((home / "tables").rglob("*.parquet"))
@@ -96,19 +78,16 @@ def row(home: Path, aircraft: int) -> dict[str, float]:
     publish(home)
     sizes = {"publish_s": time.perf_counter() - began, "files": len(files)}
     sizes |= {"megabytes": sum(f.stat().st_size for f in files) / 1e6, "aircraft": aircraft}
-    return sizes | query_times_ms(home)
+    return sizes | {name: query_ms(home, sql) for name, sql in QUESTIONS.items()}
 
 
 def table(rows: list[dict[str, float]], flights: int) -> str:
     """Return the table as Markdown."""
-    head = ["aircraft", "flights", "files", "MB", "publish [s]", *(f"{q} [ms]" for q in QUESTIONS)]
-    lines = ["| " + " | ".join(head) + " |", "|" + " ---: |" * len(head)]
+    lines = [["aircraft", "flights", "files", "MB", "publish [s]", *(f"{q} [ms]" for q in QUESTIONS)]]
     for r in rows:
         cells = [f"{r['aircraft']:,}", f"{r['aircraft'] * flights:,}", f"{r['files']:,}", f"{r['megabytes']:,.0f}"]
-        cells += [f"{r['publish_s']:.1f}", *(f"{r[q]:,.0f}" for q in QUESTIONS)]
-        lines.append("| " + " | ".join(cells) + " |")
-    lines.append(f"\n{machine()}")
-    return "\n".join(lines)
+        lines.append([*cells, f"{r['publish_s']:.1f}", *(f"{r[q]:,.0f}" for q in QUESTIONS)])
+    return f"{markdown(lines)}\n\n{machine()}"
 
 
 def main() -> None:

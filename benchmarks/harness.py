@@ -1,11 +1,15 @@
-"""Shared parts of the benchmarks: arguments, Markdown tables, and marked sections of docs/."""
+"""Shared parts of the benchmarks: arguments, times, Markdown tables, and marked sections of docs/."""
 
 import argparse
 import os
 import platform
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
-PAGE = Path(__file__).parents[1] / "docs" / "benchmark.md"
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = DOCS / "benchmark.md"
 
 
 def arguments(doc: str | None) -> argparse.ArgumentParser:
@@ -20,7 +24,33 @@ def machine() -> str:
     return f"Machine: {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}."
 
 
-def markdown(lines: list[list[str]]) -> str:
+def best_cpu_s(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Run the contestants in turn; return the least processor time of each. [s]"""
+    best = dict.fromkeys(contestants, float("inf"))
+    for _ in range(rounds):
+        for name, work in contestants.items():
+            began = time.process_time()
+            work()
+            best[name] = min(best[name], time.process_time() - began)
+    return best
+
+
+def count_time(owner: Any, name: str, spent: list[float]) -> None:
+    """Replace a function of `owner` by one that adds its wall and processor time to `spent`. [s]"""
+    call = getattr(owner, name)
+
+    def counted(*args: Any, **kwargs: Any) -> Any:
+        began = time.perf_counter(), time.process_time()
+        try:
+            return call(*args, **kwargs)
+        finally:
+            spent[0] += time.perf_counter() - began[0]
+            spent[1] += time.process_time() - began[1]
+
+    setattr(owner, name, counted)
+
+
+def markdown(lines: Sequence[Sequence[str]]) -> str:
     """Return a Markdown table: head, then rows."""
     head, *rows = ["| " + " | ".join(line) + " |" for line in lines]
     return "\n".join([head, "| --- |" + " ---: |" * (len(lines[0]) - 1), *rows])

@@ -11,13 +11,12 @@ os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
 import polars as pl
 
+from benchmarks.harness import best_cpu_s
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.merge import merge_deliveries
@@ -25,12 +24,6 @@ from pipelines.intake.snapshots import read_snapshots
 
 ROUNDS = 5
 NOW = datetime(2030, 1, 1, tzinfo=UTC)
-
-
-def cpu_s(work: Callable[[], object]) -> float:
-    started = time.process_time()
-    work()
-    return time.process_time() - started
 
 
 def a_file_a_flight(files: list[LandingFile], out: Path) -> None:
@@ -72,8 +65,7 @@ def main(landing: Path) -> None:
             "peer, one long file": lambda: all_in_one([long], out),
             "ours, one long file": lambda: read_snapshots([long], NOW).rows.write_parquet(out / "ours.parquet"),
         }
-        rounds = [{name: cpu_s(work) for name, work in works.items()} for _ in range(ROUNDS)]
-    best = {name: min(r[name] for r in rounds) for name in works}
+        best = best_cpu_s(works, ROUNDS)
     print(f"{len(files)} files of one flight, {megabytes:.1f} MB; one long file of {long.size / 1e6:.1f} MB")
     for name, seconds in best.items():
         print(f"{name:24s}{seconds:8.3f} s CPU")

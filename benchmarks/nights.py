@@ -21,9 +21,8 @@ from unittest.mock import patch
 import duckdb
 import polars as pl
 
-from benchmarks.growth import PAGE
 from benchmarks.harness import arguments, machine, markdown, show
-from benchmarks.scale import Silent, fly_again, ranking_ms
+from benchmarks.scale import PAGE, RANKING, Silent, fly_again, query_ms
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration.around_night import lock_home
@@ -81,7 +80,7 @@ def sizes_of_home(home: Path) -> dict[str, float]:
         live = con.execute("select count(*) from tables.files").fetchall()[0][0]
     there = sum(f.suffix == ".parquet" for f in (home / "tables").rglob("*"))
     history = sum(f.stat().st_size for f in (home / "dagster").rglob("*") if f.is_file()) / 1e6
-    return {"files": live, "on_disk": there, "history_mb": history, "ranking_ms": ranking_ms(home)}
+    return {"files": live, "on_disk": there, "history_mb": history, "ranking_ms": query_ms(home, RANKING)}
 
 
 def pass_day(home: Path) -> None:

@@ -11,13 +11,13 @@ import time
 from pathlib import Path
 
 from benchmarks import object_server
-from benchmarks.harness import arguments, machine, show
-from benchmarks.scale import SIZES, measured, ranking_ms
+from benchmarks.harness import DOCS, arguments, machine, markdown, show
+from benchmarks.scale import RANKING, SIZES, measured, query_ms
 from pipelines.intake.simulated import write_fleet
 from pipelines.report.page import write_report
 from pipelines.storage.store import URL, Store
 
-PAGE = Path(__file__).parents[1] / "docs" / "storage.md"
+PAGE = DOCS / "storage.md"
 KINDS = {"GET": "reads", "PUT": "writes", "LIST": "lists", "DELETE": "deletions"}
 
 
@@ -30,7 +30,11 @@ def measure_store(landing: Path, home: Path) -> dict[str, object]:
         row[f"{what}_requests"] = _since(before)
     before, began = _requests(), time.monotonic()
     write_report(home, home.with_suffix(".html"))
-    row |= {"report": time.monotonic() - began, "report_requests": _since(before), "ranking_ms": ranking_ms(home)}
+    row |= {
+        "report": time.monotonic() - began,
+        "report_requests": _since(before),
+        "ranking_ms": query_ms(home, RANKING),
+    }
     return row | _stored(Store(home))
 
 
@@ -54,8 +58,7 @@ def _since(before: dict[str, int]) -> str:
 
 def table(rows: dict[str, dict[str, object]]) -> str:
     """Return the table as Markdown."""
-    lines = ["| | " + " | ".join(rows) + " |", "| --- |" + " ---: |" * len(rows)]
-    for label, key, form in (
+    labels = (
         ("first night [s]", "night", ".0f"),
         ("its requests", "night_requests", ""),
         ("idle night [s]", "idle", ".1f"),
@@ -65,9 +68,9 @@ def table(rows: dict[str, dict[str, object]]) -> str:
         ("fleet's ranking [ms]", "ranking_ms", ".0f"),
         ("files or objects", "objects", ",.0f"),
         ("megabytes", "megabytes", ".1f"),
-    ):
-        lines.append(f"| {label} | " + " | ".join(format(row[key], form) for row in rows.values()) + " |")
-    return "\n".join([*lines, f"\n{machine()}"])
+    )
+    lines = [[label, *(format(row[key], form) for row in rows.values())] for label, key, form in labels]
+    return f"{markdown([['', *rows], *lines])}\n\n{machine()}"
 
 
 def main() -> None:

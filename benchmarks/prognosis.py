@@ -9,7 +9,6 @@ episode simulator. Both share the shapes of wear. Figures pool the fleets; range
 """
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -19,12 +18,12 @@ from benchmarks.alerts import by_component, confusion, curves, tally, together
 from benchmarks.contestants import SETS, Learner, extrapolated, lead_at_budget, rows_of
 from benchmarks.contestants import together as pooled
 from benchmarks.fleets import Frames, flown
-from benchmarks.harness import arguments, markdown, show
+from benchmarks.harness import DOCS, arguments, markdown, show
 from benchmarks.rolling import CONTESTANTS, forecasts
 from hdt_core.prognosis.metrics import CAP, alpha_lambda, score_prognoses
 from hdt_core.simulate.design import FleetSettings
 
-PAGE = Path(__file__).parent.parent / "docs" / "prognosis.md"
+PAGE = DOCS / "prognosis.md"
 SCORED, TAUGHT = 9000, 6000
 """First seeds of the fleets that score, and of those that teach the contestants of the ablation."""
 SIZE = FleetSettings(operators=2, tails=5, flights=400, cpl_share=0.0)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.harness import arguments, put
+from benchmarks.harness import arguments, markdown, put
 from benchmarks.random_problems import draw_problems
 from hdt_core.estimation import Estimate, Estimator, Problem, estimators
 from hdt_core.estimation.descent import descend
@@ -89,17 +89,15 @@ def table(tallies: Sequence[Tally], n: int) -> str:
     """Markdown."""
     columns = ["method", "at the best", "`converged`", "kept", "other statuses", "exceptions", "coverage of 90 %"]
     columns += ["passes", "CPU [s]"]
-    lines = ["| " + " | ".join(columns) + " |", "| --- |" + " ---: |" * 3 + " --- |" + " ---: |" * 4]
+    lines = [columns]
     for t in tallies:
         claims = t.statuses["converged"]
         upheld = f"{100.0 * (1.0 - len(t.broken) / claims):.1f} %" if claims else "-"
         others = ", ".join(f"{v} `{k}`" for k, v in t.statuses.most_common() if k != "converged")
         coverage = f"{np.mean(t.covered):.2f}" if t.covered else "-"
-        cells = (
-            f"{t.at_best} of {n} | {claims} | {upheld} | {others} | {len(t.raised)} | {coverage} | {t.n_evals / n:.0f}"
-        )
-        lines.append(f"| {t.name} | {cells} | {t.seconds / n:.2f} |")
-    return "\n".join(lines)
+        cells = [f"{t.at_best} of {n}", f"{claims}", upheld, others, f"{len(t.raised)}", coverage]
+        lines.append([t.name, *cells, f"{t.n_evals / n:.0f}", f"{t.seconds / n:.2f}"])
+    return markdown(lines)
 
 
 if __name__ == "__main__":

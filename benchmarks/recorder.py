@@ -5,22 +5,16 @@ million values. The peer is NumPy, which turns every word of the same file into 
 one thread, best of the rounds, contestants in turn. Run: `python -m benchmarks.recorder`.
 """
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.harness import best_cpu_s
 from hdt_recorder.decoding.coding import Coding, Polynomial
 from hdt_recorder.decoding.fit import decode, recognise
 from hdt_recorder.decoding.layout import SYNC_WORDS, Counter, Map717, Parameter, Piece, Sample
 
 HOURS, WORDS, ROUNDS = 10, 1024, 3
-
-
-def cpu_s(work: Callable[[], object]) -> float:
-    started = time.process_time()
-    work()
-    return time.process_time() - started
 
 
 def parameters() -> dict[str, Parameter]:
@@ -64,10 +58,7 @@ def main() -> None:
         "ours, words in 16 bits": lambda: read(aligned),
         "ours, stream of bits": lambda: read(bits),
     }
-    best = dict.fromkeys(contestants, np.inf)
-    for _ in range(ROUNDS):
-        for name, work in contestants.items():
-            best[name] = min(best[name], cpu_s(work))
+    best = best_cpu_s(contestants, ROUNDS)
     peer = next(iter(best.values()))
     print(
         f"{HOURS} h, {WORDS:,} words a second, {len(layout.parameters):,} parameters, {values / 1e6:.0f} million values"

@@ -5,7 +5,6 @@ signals are recorded (last digit, noise from second to second, repeated values) 
 a parameter's values. Run: `python -m benchmarks.recordings`; with `--write` the tables go to docs/real.md.
 """
 
-import argparse
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from benchmarks.harness import put
+from benchmarks.harness import DOCS, arguments, markdown, show
 from hdt_core.components import components
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
@@ -28,7 +27,7 @@ from hdt_recorder.types_of_zone import packaged_files
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = Path(os.environ.get("HDT_REFERENCE", ROOT.parent / "shared/reference")) / "recorder_787_a330"
-PAGE = ROOT / "docs/real.md"
+PAGE = DOCS / "real.md"
 FILES = {"787": ("b787_767.zip", "b787_767"), "A330": ("a330_717.wgl.zip", "a330_717")}
 COLUMNS = {
     "hot_in_degc": "hot inlet [K]", "hot_out_degc": "hot outlet [K]", "tat_degc": "TAT [K]",
@@ -93,16 +92,18 @@ def repeated(values: list[np.ndarray]) -> float:
     return float(np.mean([np.mean(np.diff(v) == 0.0) for v in values]))
 
 
-def signals() -> Iterator[str]:
-    yield "| type | signal | last digit, real | simulated | noise, real | simulated | repeated, real | simulated |"
-    yield "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
+def signals() -> Iterator[list[str]]:
+    yield [
+        "type",
+        "signal",
+        *(f"{what}, {whose}" for what in ("last digit", "noise", "repeated") for whose in ("real", "simulated")),
+    ]
     for name in FILES:
         real, ours = recorded(name), simulated(name)
         for column, title in COLUMNS.items():
             if column in real:
                 pairs = [(f(real[column]), f(ours[column])) for f in (digit, noise, repeated)]
-                cells = [f"{_number(a)} | {_number(b)}" for a, b in pairs]
-                yield f"| {name} | {title} | {' | '.join(cells)} |"
+                yield [name, title, *(_number(x) for pair in pairs for x in pair)]
 
 
 def _number(x: float) -> str:
@@ -130,10 +131,10 @@ def foretold(name: str, unit: int, terms: tuple[str, ...], way: pl.Expr | int) -
     return float(np.sqrt(np.mean((predicted - rest["hot_out_k"].to_numpy()) ** 2)))
 
 
-def held_out() -> Iterator[str]:
+def held_out() -> Iterator[list[str]]:
     """Halves, every other half minute, and the other pack."""
-    yield "| type | pack | model | second half by the first | first by the second | half minutes in turn | other pack |"
-    yield "| --- | --- | --- | ---: | ---: | ---: | ---: |"
+    trials = ["second half by the first", "first by the second", "half minutes in turn", "other pack"]
+    yield ["type", "pack", "model", *trials]
     for name in FILES:
         for unit in (0, 1):
             half = pl.col("second") < samples(name, unit).height // 2
@@ -141,18 +142,21 @@ def held_out() -> Iterator[str]:
             for title, terms in (("no term", ()), ("water_spray", ("water_spray",))):
                 errors = [f"{foretold(name, unit, terms, way):.2f}" for way in ways]
                 other = f"{foretold(name, unit, terms, 1 - unit):.2f}" if name == "A330" else "half the flow"
-                yield f"| {name} | {unit + 1} | {title} | {' | '.join([*errors, other])} |"
+                yield [name, f"{unit + 1}", title, *errors, other]
 
 
-def scatter() -> Iterator[str]:
+def scatter() -> Iterator[list[str]]:
     """Effectiveness over the time compared: all of its scatter, that within minutes, and from second to second."""
-    yield "| type | pack | scatter, real | simulated | within a minute, real | simulated | noise, real | simulated |"
-    yield "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
+    yield [
+        "type",
+        "pack",
+        *(f"{what}, {whose}" for what in ("scatter", "within a minute", "noise") for whose in ("real", "simulated")),
+    ]
     for name in FILES:
         real, ours = _effectiveness(recorded(name)), _effectiveness(simulated(name))
         for unit, (a, b) in enumerate(zip(real, ours, strict=True), 1):
-            cells = [f"{f(x):.4f}" for f in (_scatter, _about_slow, _second_noise) for x in (a, b)]
-            yield f"| {name} | {unit} | {' | '.join(cells)} |"
+            measures = (np.std, _about_slow, lambda values: noise([values]))
+            yield [name, f"{unit}", *(f"{f(x):.4f}" for f in measures for x in (a, b))]
 
 
 def _effectiveness(values: Mapping[str, list[np.ndarray]]) -> list[np.ndarray]:
@@ -161,24 +165,15 @@ def _effectiveness(values: Mapping[str, list[np.ndarray]]) -> list[np.ndarray]:
     return [(hot[u][:n] - out[u][:n]) / (hot[u][:n] - tat[min(u, len(tat) - 1)][:n]) for u in (0, 1)]
 
 
-def _scatter(values: np.ndarray) -> float:
-    return float(values.std())
-
-
 def _about_slow(values: np.ndarray) -> float:
     """Scatter about a straight line through each minute: a climb moves the level."""
     parts = [values[i : i + 60] for i in range(0, len(values) - 59, 60)]
     return float(np.mean([np.std(p - np.polyval(np.polyfit(np.arange(60), p, 1), np.arange(60))) for p in parts]))
 
 
-def _second_noise(values: np.ndarray) -> float:
-    return noise([values])
-
-
-def lags() -> Iterator[str]:
+def lags() -> Iterator[list[str]]:
     """Time constant by which the outlet of a climb follows what its inlets ask for, by the sprayed model."""
-    yield "| pack | time constant of the best fit [s] | rms at 0 s [K] | rms there [K] |"
-    yield "| --- | ---: | ---: | ---: |"
+    yield ["pack", "time constant of the best fit [s]", "rms at 0 s [K]", "rms there [K]"]
     model = components()["HXT"].with_terms(("water_spray",)).model
     for unit in (0, 1):
         own = samples("A330", unit)
@@ -192,20 +187,15 @@ def lags() -> Iterator[str]:
             predicted = fitted.predict({}, {s.name: slow[s.name].to_numpy() for s in model.inputs})["hot_out_k"]
             rms_by_lag[lag_s] = float(np.sqrt(np.mean((predicted - own["hot_out_k"].to_numpy()) ** 2)))
         best = min(rms_by_lag, key=rms_by_lag.__getitem__)
-        yield f"| {unit + 1} | {best} | {rms_by_lag[0]:.2f} | {rms_by_lag[best]:.2f} |"
+        yield [f"{unit + 1}", f"{best}", f"{rms_by_lag[0]:.2f}", f"{rms_by_lag[best]:.2f}"]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.recordings")
-    parser.add_argument("--write", action="store_true", help="put the tables into docs/real.md")
-    write = parser.parse_args().write
+    options = arguments(__doc__).parse_args()
     if not REFERENCE.is_dir():
         raise SystemExit(f"no recordings in {REFERENCE}: set HDT_REFERENCE")
     for mark, table in (("signals", signals()), ("scatter", scatter()), ("held out", held_out()), ("lags", lags())):
-        text = "\n".join(table)
-        print(f"{text}\n")
-        if write:
-            put(mark, text, PAGE)
+        show(mark, markdown(list(table)), PAGE, write=options.write)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from statistics import median
 
 import polars as pl
 
-from benchmarks.harness import arguments, machine, markdown, show
+from benchmarks.harness import DOCS, arguments, machine, markdown, show
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import around_night, nightly
@@ -33,8 +33,9 @@ SIZES = {
     "L": FleetSettings(operators=5, tails=10, flights=2000),
 }
 NEW_FLIGHTS = 100
+RANKING = "select * from fleet_ranking order by place"
 _WHO = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-PAGE = Path(__file__).parents[1] / "docs" / "scale.md"
+PAGE = DOCS / "scale.md"
 
 
 class Silent:
@@ -101,13 +102,13 @@ def _cpu_s() -> float:
     return sum(u.ru_utime + u.ru_stime for u in used)
 
 
-def ranking_ms(home: Path) -> float:
-    """Median time of "fleet ranking tonight"."""
+def query_ms(home: Path, sql: str, rounds: int = 7) -> float:
+    """Median time of a query over a home's catalog. [ms]"""
     times_ms = []
     with connect(home) as con:
-        for _ in range(7):
+        for _ in range(rounds):
             began = time.perf_counter()
-            con.execute("select * from fleet_ranking order by place").fetchall()
+            con.execute(sql).fetchall()
             times_ms.append(1e3 * (time.perf_counter() - began))
     return median(times_ms)
 

@@ -21,12 +21,11 @@ import numpy as np
 from rich.progress import track
 from threadpoolctl import threadpool_limits
 
-from benchmarks.harness import arguments, show
+from benchmarks.harness import DOCS, arguments, markdown, show
 from hdt_benchmark.oscillator import TRUTH, oscillator_problem, true_position_m
 from hdt_core.estimation import Estimate, Estimator, ExtendedKalman, ParticleSwarm, UnscentedKalman, estimators
 from hdt_core.estimation.identifiability import fisher
 
-DOCS = Path(__file__).parents[1] / "docs"
 SLOW = {"pinn", "particle", "rls", "strong_tracking", "ekf_pso"}
 LEVEL, QUANTILE = 0.9, 1.6448536
 PAPER = {  # tables 1 and 2: damping, stiffness, MSE, MAPE, seconds
@@ -133,38 +132,35 @@ def tables(rows: list[Row]) -> str:
     """Tables 1 and 2 with the paper's columns, table 3 with what it lacks; pairs are damping, stiffness. Markdown."""
     by_name = {row.name: row for row in rows}
     five = [n for n in ("ukf", "ekf", "pso", "nls", "pinn") if n in by_name]
-    head = "| | " + " | ".join(f"{n.upper()} paper | {n.upper()} ours" for n in five) + " |"
-    rule = "| --- |" + " ---: |" * (2 * len(five))
+    head = ["", *(f"{n.upper()} {whose}" for n in five for whose in ("paper", "ours"))]
 
-    def line(label: str, paper: int, ours: Sequence[str]) -> str:
-        cells = [f"{f'{PAPER[n][paper]:g}' if n in PAPER else '-'} | {o}" for n, o in zip(five, ours, strict=True)]
-        return f"| {label} | " + " | ".join(cells) + " |"
+    def line(label: str, paper: int, ours: Sequence[str]) -> list[str]:
+        printed = [f"{PAPER[n][paper]:g}" if n in PAPER else "-" for n in five]
+        return [label, *(cell for pair in zip(printed, ours, strict=True) for cell in pair)]
 
     def spread(i: int) -> list[str]:
         return [f"{by_name[n].mean[i]:.3f} ± {by_name[n].sd[i]:.3f}" for n in five]
 
-    one = [head, rule, line("Damping coefficient [N s/m]", 0, spread(0)), line("Stiffness [N/m]", 1, spread(1))]
+    one = [head, line("Damping coefficient [N s/m]", 0, spread(0)), line("Stiffness [N/m]", 1, spread(1))]
     two = [
         head,
-        rule,
         line("MSE against truth [m2]", 2, [f"{by_name[n].mse_truth[0]:.1e}" for n in five]),
         line("MAPE against truth [-]", 3, [f"{by_name[n].mape_truth:.3f}" for n in five]),
         line("Computation time [s]", 4, [f"{by_name[n].seconds:.5f}" for n in five]),
     ]
-    columns = ("estimator", "records", "bias / bound", "RMSE / bound", "coverage of 90 %", "failures")
-    columns += ("MSE truth, median", "MSE truth, 5-95 %", "MSE measured", "time [ms]")
-    three = ["| " + " | ".join(columns) + " |", "| --- |" + " ---: |" * (len(columns) - 1)]
+    columns = ["estimator", "records", "bias / bound", "RMSE / bound", "coverage of 90 %", "failures"]
+    three = [[*columns, "MSE truth, median", "MSE truth, 5-95 %", "MSE measured", "time [ms]"]]
     for r in rows:
-        pairs = f"{_pair(r.bias_to_bound, '+.2f')} | {_pair(r.rmse_to_bound, '.3f')} | {_pair(r.coverage, '.3f')}"
+        pairs = [_pair(r.bias_to_bound, "+.2f"), _pair(r.rmse_to_bound, ".3f"), _pair(r.coverage, ".3f")]
         middle, low, high = r.mse_truth
-        errors = f"{middle:.1e} | {low:.1e} - {high:.1e} | {r.mse_measured:.3e}"
-        three.append(f"| {r.name} | {r.n_seeds} | {pairs} | {r.failures} | {errors} | {1e3 * r.seconds:.3g} |")
+        errors = [f"{middle:.1e}", f"{low:.1e} - {high:.1e}", f"{r.mse_measured:.3e}"]
+        three.append([r.name, f"{r.n_seeds}", *pairs, f"{r.failures}", *errors, f"{1e3 * r.seconds:.3g}"])
     titles = (
         "Table 1. Estimated parameters",
         "Table 2. Performance for position",
         "Table 3. What the paper does not state",
     )
-    return "\n\n".join(f"**{t}**\n\n" + "\n".join(body) for t, body in zip(titles, (one, two, three), strict=True))
+    return "\n\n".join(f"**{t}**\n\n" + markdown(body) for t, body in zip(titles, (one, two, three), strict=True))
 
 
 def _pair(values: np.ndarray, form: str) -> str:

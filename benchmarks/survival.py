@@ -16,8 +16,8 @@ def censored_scores(prognoses: pl.DataFrame, risk: str) -> dict[str, float]:
 
     Parameters
     ----------
-    judged : DataFrame
-        `left`, `failed`, and in `risk` the probability of the message within `HORIZON` flights.
+    prognoses : DataFrame
+        `remaining`, `failed`, and in the column `risk` the probability of the message within `HORIZON` flights.
 
     References
     ----------

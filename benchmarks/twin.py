@@ -1,4 +1,4 @@
-"""Health per flight against known truth: `python -m benchmarks.twin [--seeds 101-124] [--write docs/calibration.md]`.
+"""Health per flight against known truth: `python -m benchmarks.twin [--seeds 101-124] [--write]`.
 
 Claims: fouling within 0.015 of what an observer of the clean duct's ram flow would call the loss; noise, order, and an
 honest standard deviation; effective diameter and efficiency loss of the compressor; seconds for 100,000 flights. Peers
@@ -10,10 +10,8 @@ its own design, sensors, recorders and habits; none was left out. Half of them h
 aircraft, and 40 % of first units enter worn.
 """
 
-import argparse
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +19,7 @@ import polars as pl
 
 from benchmarks.chain import admit_fleet
 from benchmarks.fleets import fleet_of
-from benchmarks.harness import put
+from benchmarks.harness import DOCS, arguments, markdown, show
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.windows import baseline_flights
@@ -135,9 +133,9 @@ def best_score(error: np.ndarray) -> float:
     return float(min(interval_score(error, np.full(len(error), w)).mean() for w in widths))
 
 
-def bootstrap(rows: pl.DataFrame, name: str, draws: int, seed: int = 0) -> tuple[float, float]:
+def bootstrap(rows: pl.DataFrame, name: str, draws: int) -> tuple[float, float]:
     """5th and 95th percentile of a number over fleets drawn with replacement."""
-    rng, by_fleet = np.random.default_rng(seed), rows.partition_by("seed")
+    rng, by_fleet = np.random.default_rng(0), rows.partition_by("seed")
     numbers = []
     for _ in range(draws):
         picks = rng.integers(0, len(by_fleet), len(by_fleet))
@@ -155,7 +153,7 @@ def tables(results: list[Fleet], draws: int) -> str:
     groups = {word: [f.seed for f in results if f.ram_seen is flag] for flag, word in labels.items()}
     numbers = fouling_numbers(rows) | compressor_numbers(rows)
     head = ["what", "goal", "all fleets", "90 % by fleet", *(f"{w} ({len(s)})" for w, s in groups.items())]
-    lines = ["| " + " | ".join(head) + " |", "| --- | --- |" + " ---: |" * (len(head) - 2)]
+    lines = [head]
     parts = [rows.filter(pl.col("seed").is_in(s)) for s in groups.values()]
     own = [fouling_numbers(p) | compressor_numbers(p) if p.height else {} for p in parts]
     for name, goal in GOALS.items():
@@ -163,31 +161,27 @@ def tables(results: list[Fleet], draws: int) -> str:
         digits = 5 if "[m]" in name else 4
         cells = [name, goal, f"{numbers[name]:.{digits}f}", f"{low:.{digits}f} - {high:.{digits}f}"]
         cells += [f"{o[name]:.{digits}f}" if o else "-" for o in own]
-        lines.append("| " + " | ".join(cells) + " |")
+        lines.append(cells)
     rate = 1e5 * sum(f.seconds for f in results) / sum(f.flights for f in results)
-    lines += [
-        "",
-        f"{len(results)} fleets, {sum(f.flights for f in results)} flights; estimation and tracking take {rate:.0f} s",
-    ]
-    lines[-1] += " of one core for 100,000 flights, both packs, exchanger and compressor."
-    lines += ["", "| hx_fouling as read by | mean absolute error | least interval score of a constant width |"]
-    lines += ["| --- | ---: | ---: |", *(f"| {n} | {e:.4f} | {s:.3f} |" for n, e, s in limits(rows))]
-    return "\n".join(lines)
+    cost = (
+        f"{len(results)} fleets, {sum(f.flights for f in results)} flights; estimation and tracking take {rate:.0f} s"
+    )
+    cost += " of one core for 100,000 flights, both packs, exchanger and compressor."
+    reads = [["hx_fouling as read by", "mean absolute error", "least interval score of a constant width"]]
+    reads += [[n, f"{e:.4f}", f"{s:.3f}"] for n, e, s in limits(rows)]
+    return f"{markdown(lines)}\n\n{cost}\n\n{markdown(reads)}"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(__doc__)
     parser.add_argument("--seeds", default="101-124", help="first and last seed")
     parser.add_argument("--flights", type=int, default=350, help="flights of each aircraft")
     parser.add_argument("--draws", type=int, default=40, help="bootstrap draws")
-    parser.add_argument("--write", type=Path, help="page whose tables are replaced")
     options = parser.parse_args()
     first, last = map(int, options.seeds.split("-"))
     size = FleetSettings(operators=2, tails=4, flights=options.flights, cpl_share=0.0)
     text = tables(list(fleets(range(first, last + 1), size)), options.draws)
-    print(text)
-    if options.write:
-        put("tables", text, options.write)
+    show("tables", text, DOCS / "calibration.md", write=options.write)
 
 
 if __name__ == "__main__":

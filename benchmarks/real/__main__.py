@@ -8,9 +8,9 @@ import os
 import time
 from pathlib import Path
 
-from benchmarks.harness import arguments, put
+from benchmarks.harness import DOCS, arguments, put
 from benchmarks.real import cmapss, events, filters, hydraulic, lives, skab
-from benchmarks.real.page import DOCS, PAGE, described, plotted
+from benchmarks.real.page import PAGE, described, plotted
 
 RECIPES = (
     filters.RECIPE,

@@ -189,15 +189,15 @@ def leave_kind_out(rows: Lives) -> tuple[Foretold, Foretold]:
     """Each dust kind foretold by filters of the other kinds: with physics, and without."""
     predictions = []
     for physics in (True, False):
-        by, low, high = np.empty((rows.left.size, EDGES.size)), np.empty(rows.left.size), np.empty(rows.left.size)
+        by, bounds = np.empty((rows.left.size, EDGES.size)), np.empty((4, rows.left.size))
         for kind in np.unique(rows.kind):
             inside = rows.kind == kind
             teach = rows.of(~inside)
             law = dust_left(teach)
             x = with_physics(rows, law) if physics else without_physics(rows)
             prediction = foretell(Rows(x[~inside], teach.left, teach.life, teach.kind), x[inside])
-            by[inside], low[inside], high[inside] = prediction.by, prediction.low, prediction.high
-        predictions.append(Foretold(by, low, high))
+            by[inside], bounds[:, inside] = prediction.by, (prediction.low, prediction.high, *prediction.wide)
+        predictions.append(Foretold(by, bounds[0], bounds[1], (bounds[2], bounds[3])))
     return predictions[0], predictions[1]
 
 

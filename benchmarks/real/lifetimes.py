@@ -61,7 +61,7 @@ def history_features(loss: Array, unit: Index, cycle: Index, limit: float) -> Ar
     return features[:, np.array([name not in THERMAL for name in FEATURES])]
 
 
-def foretell(teach: Rows, x: Array, level_rows: Index | None = None, seed: int = 0) -> Foretold:
+def foretell(teach: Rows, x: Array, level_rows: Index | None = None) -> Foretold:
     """Predict the remaining life of rows of units outside the training set.
 
     Each fold's rows are foretold by a model of the other folds, which gives the levels of the interval. The interval is
@@ -72,23 +72,21 @@ def foretell(teach: Rows, x: Array, level_rows: Index | None = None, seed: int =
     ----------
     teach : Rows
         Whole lives.
-    asked : array, shape (n, p)
+    x : array, shape (n, p)
         Rows of other units.
-    seen : array of int, optional
+    level_rows : array of int, optional
         Rows of `teach` that levels are learned from, such as those where a unit might be cut; all by default.
-    seed : int
-        Draws samples and cuts.
     """
     predicted, forecasts = np.empty((teach.left.size, EDGES.size)), []
     for fold in np.unique(teach.fold):
         inside = teach.fold == fold
-        model = _fitted(teach.of(~inside), seed)
+        model = _fitted(teach.of(~inside))
         predicted[inside] = event_by(hazards([model], teach.x[inside]))
         forecasts.append(event_by(hazards([model], x)))
     chosen = np.arange(teach.left.size) if level_rows is None else level_rows
-    cut = _cuts(teach.unit[chosen], chosen, seed)
+    cut = _cuts(teach.unit[chosen], chosen)
     rows = predicted[cut], teach.left[cut], np.ones(cut.size, dtype=bool), teach.unit[cut]
-    whole = event_by(hazards([_fitted(teach, seed)], x))
+    whole = event_by(hazards([_fitted(teach)], x))
 
     def interval(nominal: Levels) -> tuple[Array, Array]:
         levels = learn_levels(*rows, prior_lives=0.0, nominal=nominal)
@@ -97,14 +95,14 @@ def foretell(teach: Rows, x: Array, level_rows: Index | None = None, seed: int =
     return Foretold(np.mean([*forecasts, whole], axis=0), *interval(NOMINAL), interval(WIDE))
 
 
-def _fitted(teach: Rows, seed: int) -> HistGradientBoostingClassifier:
+def _fitted(teach: Rows) -> HistGradientBoostingClassifier:
     share = min(1.0, SAMPLES / (teach.left.size * SPANS))
-    return fit_hazard(teach.x, teach.left, np.ones(teach.left.size, dtype=bool), seed, share=share)
+    return fit_hazard(teach.x, teach.left, np.ones(teach.left.size, dtype=bool), 0, share=share)
 
 
-def _cuts(unit: Index, chosen: Index, seed: int) -> Index:
+def _cuts(unit: Index, chosen: Index) -> Index:
     """As many rows of each unit, at random: what is asked is asked somewhere in a life."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     return np.concatenate([rng.choice(chosen[unit == u], CUTS) for u in np.unique(unit)])
 
 

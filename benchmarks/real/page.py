@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.harness import DOCS, markdown
 from benchmarks.real.recipe import Recipe, Result, Score
 
-DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "real.md"
 MARKS = {True: "yes", False: "**no**", None: ""}
 
@@ -21,8 +21,7 @@ def described(recipe: Recipe, result: Result | None, plot: str | None = None) ->
     ]
     if result is None:
         return "\n".join([*head, "", "Not run here: its files are absent."])
-    lines = ["", "| figure | value | 90 % interval | goal | held |", "| --- | ---: | ---: | ---: | --- |"]
-    lines += [_row(s) for s in result.scores]
+    lines = ["", markdown([["figure", "value", "90 % interval", "goal", "held"], *map(_row, result.scores)])]
     tail = ["", result.words] if result.words else []
     return "\n".join([*head, *lines, *tail, *(["", f"![{recipe.title}](plots/{plot})"] if plot else [])])
 
@@ -38,7 +37,7 @@ def plotted(recipe: Recipe, result: Result, folder: Path) -> str | None:
     return name
 
 
-def _row(s: Score) -> str:
+def _row(s: Score) -> list[str]:
     interval = f"{s.low:.3g} to {s.high:.3g}" if np.isfinite(s.low) else ""
     goal = s.goal.replace(">=", "≥").replace("<=", "≤")
-    return f"| {s.name} | {s.value:.3g} | {interval} | {goal} | {MARKS[s.is_met]} |"
+    return [s.name, f"{s.value:.3g}", interval, goal, MARKS[s.is_met]]
