@@ -132,11 +132,6 @@ def table(fleets: pl.DataFrame) -> str:
         ),  # type: ignore[operator]
         ("R² of equation (6)", "", f"{fleets['r2'].min():.2f} to {fleets['r2'].max():.2f}"),
         (
-            "effective diameter of a flight, mean absolute error [mm]",
-            "5.5",
-            f"{1e3 * fleets['diameter_flight_mae'].mean():.2f}",
-        ),  # type: ignore[operator]
-        (
             f"slope's 95 % interval covers ({fleets.height} fleets; {2 * fleets.height} airlines)",
             "0.95",
             f"{within(['slope_z'], Z95):.2f}; {within(slopes, Z95):.2f}",
@@ -144,8 +139,6 @@ def table(fleets: pl.DataFrame) -> str:
         ("slope, rms error [%]", "", f"{100 * rms(fleets, 'slope'):.1f}"),
         ("90 % intervals of the joint fit cover: design", "0.88-0.92", f"{within(designs, Z_90):.3f}"),
         ("the same: elasticities", "0.88-0.92", f"{within(['z_elastic_hot', 'z_elastic_cold'], Z_90):.3f}"),
-        ("the same: health of each sound flight", "0.88-0.92", f"{fleets['health_cover'].mean():.3f}"),
-        ("health of each sound flight, mean absolute error", "", f"{fleets['health_mae'].mean():.4f}"),
         (
             "ten flights after a replacement, share within 0.05: log / no log",
             "",

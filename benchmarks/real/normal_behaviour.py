@@ -20,6 +20,7 @@ LONG = 10**6
 LEARN_SHARE, BLOCKS = 0.5, (10, 30, 60)
 """Of the normal rows the first teach what a sensor should say, the others how far its residual wanders in blocks."""
 STILL = 1e-9
+TAIL = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +47,16 @@ def learn(rows: Array) -> Normal:
     return Normal(mean, spread, LedoitWolf().fit(z + 1e-6 * _jitter(z.shape)).precision_)
 
 
-def alarms(train: Array, test: Array, settings: Cusum | None = None, tail: int = 1000) -> Flags:
+def alarms(train: Array, test: Array, settings: Cusum | None = None) -> Flags:
     """Return the rows of `test` on which a sensor shift is detected.
 
-    The detector learns offset and scatter on the last `tail` rows of `train`.
+    The detector learns offset and scatter on the last `TAIL` rows of `train`.
     """
     settings = settings or Cusum(memory_flights=LONG)
     split = int(LEARN_SHARE * len(train))
     normal = learn(train[:split])
     scale = wander(normal.residuals(train[split:]))
-    z = np.concatenate([normal.residuals(train[-tail:]), normal.residuals(test)])[None] / scale
+    z = np.concatenate([normal.residuals(train[-TAIL:]), normal.residuals(test)])[None] / scale
     prior = np.ones(z.shape[2])
     watch_result = watch(z, prior, np.zeros(z.shape, dtype=bool), settings)
     return np.asarray(watch_result.alarm[0, -len(test) :].any(axis=1)) if len(test) else np.zeros(0, dtype=bool)

@@ -12,7 +12,7 @@ SYNC_767 = b"\xeb\x90"
 HEAD_BYTES = 130
 
 
-def encode_717(layout: Map717, values: Mapping[str, Floats], first_count: int = 0) -> bytes:
+def encode_717(layout: Map717, values: Mapping[str, Floats]) -> bytes:
     """Encode an aligned ARINC 717 recording, 12-bit words in 16 bits: whole frames of `values`, (seconds,)."""
     subframes = len(layout.sync_words)
     n = min(v.size for v in values.values()) // subframes
@@ -20,7 +20,7 @@ def encode_717(layout: Map717, values: Mapping[str, Floats], first_count: int = 
     words.reshape(n, subframes, layout.words)[:, :, 0] = layout.sync_words
     if layout.counter is not None:
         piece = layout.counter.piece
-        words[:, piece.word] |= ((np.arange(n) + first_count) % (1 << piece.bits) << piece.low).astype(np.uint16)
+        words[:, piece.word] |= (np.arange(n) % (1 << piece.bits) << piece.low).astype(np.uint16)
     for name, series in values.items():
         raw = raw_words(layout.parameters[name], series[: n * subframes]).reshape(n, subframes)
         for column, sample in enumerate(layout.parameters[name].samples):
@@ -30,7 +30,7 @@ def encode_717(layout: Map717, values: Mapping[str, Floats], first_count: int = 
     return words.astype("<u2").tobytes()
 
 
-def encode_767(layout: Map767, values: Mapping[str, Floats], begin_s: float = 0.0) -> bytes:
+def encode_767(layout: Map767, values: Mapping[str, Floats]) -> bytes:
     """Encode an ARINC 767 recording of one kind of frame a second: head, then frames; `values` are (seconds,)."""
     ((number, kind),) = layout.frames.items()
     n = min(v.size for v in values.values())
@@ -41,7 +41,7 @@ def encode_767(layout: Map767, values: Mapping[str, Floats], begin_s: float = 0.
         places = np.arange(piece.bits - 1, -1, -1, dtype=np.uint64)
         bits[:, piece.low : piece.low + piece.bits] = raw[:, None] >> places & np.uint64(1)
     body = np.packbits(bits, axis=1)
-    time_ms = np.round(1000.0 * (begin_s + np.arange(n))).astype(">u4").view(np.uint8).reshape(n, 4)
+    time_ms = (1000 * np.arange(n)).astype(">u4").view(np.uint8).reshape(n, 4)
     frame_ids = np.tile(np.frombuffer(number.to_bytes(2, "big"), np.uint8), (n, 1))
     start = np.tile(np.frombuffer(SYNC_767 + kind.size.to_bytes(2, "big"), np.uint8), (n, 1))
     return _head(layout.revision) + np.hstack([start, time_ms, frame_ids, body, frame_ids]).tobytes()
