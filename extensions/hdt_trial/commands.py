@@ -188,11 +188,9 @@ def _one_writer(home: Path | None) -> Iterator[Path]:
 
 @contextmanager
 def _one_line() -> Iterator[None]:
-    from hdt_trial.declaration import TrialError
-
     try:
         yield
-    except (TrialError, FileExistsError) as error:
+    except FileExistsError as error:
         raise StopError(str(error)) from None
     except UnicodeDecodeError as error:
         raise StopError(f"the file is no text in UTF-8: {error}") from None

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
+from hdt_core.errors import UserError
 from hdt_core.toml_text import parse_toml
 
 DEFAULT = (resources.files("hdt_trial") / "declaration.toml").read_text("utf-8")
@@ -13,7 +14,7 @@ MOST, MOST_DAYS = 1e12, 36_525
 """Largest number, and largest number of days, that a declaration may hold."""
 
 
-class TrialError(Exception):
+class TrialError(UserError):
     """A trial cannot proceed; the message names the remedy."""
 
 

@@ -10,6 +10,7 @@ from hdt_core.components.compressor import CC
 from hdt_core.components.declaration import ACTIONS, Channel, Component, Limit, Reading, Record
 from hdt_core.components.exchanger import HX
 from hdt_core.components.unmetered_exchanger import HXT
+from hdt_core.errors import UserError
 from hdt_core.packages import load_entry_points
 
 __all__ = [
@@ -39,8 +40,11 @@ def components() -> dict[str, Component]:
     return by_code
 
 
-class ComponentError(Exception):
+class ComponentError(UserError):
     """A package's entry point is no component."""
+
+    def __str__(self) -> str:
+        return f"{super().__str__()}; correct or uninstall it"
 
 
 def component_rows() -> list[dict[str, object]]:

@@ -5,6 +5,7 @@ from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
+from hdt_core.errors import UserError
 from pipelines.storage.cases import FAULTS, NO_FAULT, CaseLog
 
 _CODES = {"clean": NO_FAULT} | {code.lower(): code for code in FAULTS}
@@ -32,7 +33,7 @@ def findings(component: str) -> dict[str, str]:
     return _CODES_OF.get(component, _CODES_OF_DECLARED) | _CODES
 
 
-class RefusedError(ValueError):
+class RefusedError(UserError):
     """A change that can't be made; the message names the reason and the accepted values."""
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import polars as pl
 
+from hdt_core.errors import UserError
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import connect, fetch_dicts
 from pipelines.storage.publication import views
@@ -44,12 +45,12 @@ def find_case(home: Path, alert_id: str) -> dict[str, Any]:
 
     Raises
     ------
-    LookupError
+    UserError
         No alert id, or several, start so.
     """
     cases = list_cases(home, "starts_with(c.alert_id, $id)", id=alert_id) if alert_id else []
     if len(cases) != 1:
-        raise LookupError(f"{'several alerts' if cases else 'no alert'} {alert_id}; `hdt case list` names them")
+        raise UserError(f"{'several alerts' if cases else 'no alert'} {alert_id}; `hdt case list` names them")
     return cases[0]
 
 

@@ -4,6 +4,7 @@ import logging
 import sqlite3
 import sys
 
+from hdt_core.errors import UserError
 from hdt_core.packages import load_entry_points
 from pipelines.cli import cases, digest, look, make, night, serve, share
 from pipelines.cli.base import StopError, UsageError, app, out, print_error
@@ -21,7 +22,7 @@ def main() -> None:
         load_extensions()
         with stop_in_order():
             sys.exit(app(standalone_mode=False))
-    except StopError as error:
+    except UserError as error:
         message = str(error)
     except UsageError as error:
         command = error.ctx.command_path if error.ctx else "hdt"
@@ -34,7 +35,7 @@ def main() -> None:
     except OSError as error:
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
     except Exception as error:
-        message = _night_error(error)
+        message = _storage_error(error)
     print_error(message)
     sys.exit(code)
 
@@ -56,24 +57,12 @@ def _load_schemas() -> None:
         del sys.modules["sqlalchemy"]
 
 
-def _night_error(error: Exception) -> str:
-    """Return the message of an error that a night raises itself; raise any other."""
-    from hdt_core.components import ComponentError
+def _storage_error(error: Exception) -> str:
+    """Return the message for an old catalog, a damaged SQLite file, a full or read-only disk; raise any other error."""
+    import duckdb
 
-    if isinstance(error, ComponentError):
-        return f"{error}; correct or uninstall it"
-    from pipelines.digest import NotifyError
-    from pipelines.intake.readers import ReaderError
-    from pipelines.orchestration.around_night import BusyError
-    from pipelines.orchestration.local_executor import EngineError
-    from pipelines.storage.postgres import DatabaseError
-
-    ours = BusyError | DatabaseError | EngineError | NotifyError | ReaderError
-    return str(error) if isinstance(error, ours) else _sqlite_error(error)
-
-
-def _sqlite_error(error: Exception) -> str:
-    """Return the message for a damaged SQLite file, or a full or read-only disk; raise any other error."""
+    if isinstance(error, duckdb.CatalogException | duckdb.BinderException):
+        return "an earlier version wrote the catalog; `hdt nightly` writes it again"
     cause = getattr(error, "orig", error)
     if isinstance(cause, sqlite3.DatabaseError) and any(word in str(cause) for word in _DAMAGED):
         file = "the ledger is damaged (%s); `hdt nightly`" if cause is error else "Dagster's history (%s); `hdt tidy`"

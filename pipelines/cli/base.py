@@ -4,14 +4,14 @@ Heavy imports wait until a command needs them, so that `--help` and an idle nigh
 """
 
 import importlib.metadata
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from typer.core import TyperGroup
+
+from hdt_core.errors import UserError
 
 ORDER = (
     "nightly", "backfill", "status", "explain", "close", "case", "serve", "report", "digest", "orders", "query",
@@ -60,20 +60,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object inst
 UsageError: Any = typer.BadParameter.__base__  # of the click inside typer
 
 
-class StopError(Exception):
+class StopError(UserError):
     """Ends the command with one line on how to correct it."""
-
-
-@contextmanager
-def in_language(name: str | None) -> Iterator[None]:
-    """Write in a language within the block; stop with a line that lists the languages if it is unknown."""
-    from pipelines.words import NoLanguageError, use_language
-
-    try:
-        with use_language(name):
-            yield
-    except NoLanguageError as error:
-        raise StopError(str(error)) from None
 
 
 def print_error(message: str) -> None:

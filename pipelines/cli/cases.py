@@ -1,7 +1,7 @@
 """Commands about cases: close an alert with a finding; acknowledge, assign, mute and watch cases."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +9,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from pipelines.cli.base import AsJson, HomeDir, StopError, app, home_folder, out
+from pipelines.cli.base import AsJson, HomeDir, app, home_folder, out
 
 AlertId = Annotated[str, typer.Argument(metavar="ALERT", help="The alert's id, or its first digits.")]
 By = Annotated[str, typer.Option("--by", help="Your name.")]
@@ -101,8 +101,7 @@ def list_(
     from pipelines.report import words
 
     where, values = ("state = $state", {"state": state}) if state else ("true" if every else OPEN, {})
-    folder = home_folder(home)
-    rows = _call(lambda: list_cases(folder, where, **values))
+    rows = list_cases(home_folder(home), where, **values)
     if as_json:
         out.print_json(json.dumps(rows, default=str))
         return
@@ -130,7 +129,7 @@ def show(alert: AlertId, home: HomeDir = None, as_json: AsJson = False) -> None:
     from pipelines.report import words
 
     where = home_folder(home)
-    row = _call(lambda: find_case(where, alert))
+    row = find_case(where, alert)
     history = history_of(where, row["alert_id"])
     if as_json:
         out.print_json(json.dumps(row | {"history": history}, default=str))
@@ -151,19 +150,4 @@ def _change(home: Path | None, alert: str, kind: str, by: str, **fields: Any) ->
     from pipelines.casework.listing import find_case
 
     where = home_folder(home)
-    message = _call(lambda: change_case(where, find_case(where, alert), kind, by, **fields))
-    out.print(message)
-
-
-def _call(query: Callable[[], Any]) -> Any:
-    """Return the result; stop with a line on an error the user can correct."""
-    import duckdb
-
-    from pipelines.storage.cases import ConflictError
-
-    try:
-        return query()
-    except (duckdb.CatalogException, duckdb.BinderException):
-        raise StopError("an earlier version wrote the catalog; `hdt nightly` writes it again") from None
-    except (LookupError, ValueError, ConflictError) as error:
-        raise StopError(str(error.args[0] if error.args else error)) from None
+    out.print(change_case(where, find_case(where, alert), kind, by, **fields))

@@ -46,13 +46,10 @@ def digest(
 
 
 def _try(where: Path) -> None:
-    from pipelines.digest import NotifyError, send_trial
+    from pipelines.digest import send_trial
     from pipelines.storage.settings import notify_file
 
-    try:
-        results = send_trial(where)
-    except NotifyError as error:
-        raise StopError(str(error)) from None
+    results = send_trial(where)
     if not results:
         raise StopError(f"no receiver; declare them in {notify_file(where)}")
     for name, fault in results:

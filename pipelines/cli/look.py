@@ -10,7 +10,7 @@ import polars as pl
 import typer
 from rich.table import Table
 
-from pipelines.cli.base import AsJson, HomeDir, Language, StopError, app, home_folder, in_language, out, print_error
+from pipelines.cli.base import AsJson, HomeDir, Language, StopError, app, home_folder, out, print_error
 from pipelines.cli.stops import stop_at_once
 
 if TYPE_CHECKING:
@@ -81,11 +81,12 @@ def report(
 ) -> None:
     """Write the fleet's health as one page that needs no network."""
     from pipelines.report.page import write_report
+    from pipelines.words import use_language
 
     where = home_folder(home)
     if not target.resolve().parent.is_dir():
         raise StopError(f"no folder {target.resolve().parent} to write {target.name} into")
-    with in_language(language):
+    with use_language(language):
         write_report(where, target, units, thresholds)
     out.print(f"Report: {target}")
 
@@ -129,13 +130,11 @@ def explain(
     Evidence for and against the diagnosis, its alternatives, and what to do.
     """
     from pipelines.report.explain import explain as explanation_of
+    from pipelines.words import use_language
 
     where, pack = home_folder(home), " ".join(name)
-    try:
-        with in_language(language):
-            text = explanation_of(where, pack)
-    except ValueError as error:
-        raise StopError(str(error)) from None
+    with use_language(language):
+        text = explanation_of(where, pack)
     if text is None:
         raise StopError(
             f'no pack or alert {pack}; `hdt query --home {where} "select alert_id, tail, pack from alerts"` lists them'

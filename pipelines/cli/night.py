@@ -21,7 +21,6 @@ from pipelines.cli.base import (
     app,
     err,
     home_folder,
-    in_language,
     landing_folder,
     out,
     print_error,
@@ -77,7 +76,9 @@ def nightly(
     if dry_run:
         _print_new_files(zone, where, as_json)
     else:
-        with in_language(language):
+        from pipelines.words import use_language
+
+        with use_language(language):
             _bring_up_to_date(zone, where, as_json, jobs)
 
 

@@ -33,7 +33,7 @@ def serve(
     try:
         from pipelines.web.casebook import application
         from pipelines.web.guard import LOCAL
-        from pipelines.web.roles import FILE, RolesError, local_person, read_people
+        from pipelines.web.roles import FILE, local_person, read_people
         from pipelines.web.sign_in import LocalToken, ProxyHeader
     except ImportError:
         raise StopError("the page of cases needs the extra serve: pip install 'hybrid-digital-twin[serve]'") from None
@@ -42,8 +42,6 @@ def serve(
     try:
         people, sign_in = read_people(where), LocalToken(local_person(where), https)
         behind = ProxyHeader(where, header, [ip_network(p) for p in proxy]) if proxy else None
-    except RolesError as error:
-        raise StopError(str(error)) from None
     except ValueError as error:
         raise StopError(f"--proxy: {error}") from None
     if behind and not people:

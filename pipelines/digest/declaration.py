@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
+from hdt_core.errors import UserError
 from hdt_core.toml_text import parse_toml
 
 
-class NotifyError(Exception):
+class NotifyError(UserError):
     """A wrong declaration or a failed receiver; one line without a secret."""
 
 

@@ -11,6 +11,7 @@ from typing import Protocol, runtime_checkable
 
 import polars as pl
 
+from hdt_core.errors import UserError
 from hdt_core.packages import load_entry_points
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import FileIntake, Kind, LandingFile
@@ -64,7 +65,7 @@ class Reader(Protocol):
         """Describe a simulated type in a zone; its name there, and the writer of a flight's rows as a file."""
 
 
-class ReaderError(Exception):
+class ReaderError(UserError):
     """There is no reader, or a package's entry point is none."""
 
 

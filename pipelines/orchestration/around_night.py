@@ -7,13 +7,14 @@ from contextlib import contextmanager, nullcontext, suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 
+from hdt_core.errors import UserError
 from pipelines.storage import postgres
 from pipelines.storage.files import narrow_umask
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import notify_file
 
 
-class BusyError(Exception):
+class BusyError(UserError):
     """Another run holds this home."""
 
 

@@ -12,6 +12,8 @@ from multiprocessing import forkserver, get_context, resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hdt_core.errors import UserError
+
 if TYPE_CHECKING:  # Dagster takes seconds to load, and a night with nothing new needs none of it
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
 
@@ -25,7 +27,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-class EngineError(Exception):
+class EngineError(UserError):
     """Runs can't be sent out to other machines; the message gives reason and remedy in one line."""
 
 

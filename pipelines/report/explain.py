@@ -6,6 +6,7 @@ from typing import Any
 
 import duckdb
 
+from hdt_core.errors import UserError
 from pipelines.report import words
 from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
 from pipelines.storage.catalog import connect, fetch_dicts
@@ -28,7 +29,7 @@ def explain(home: Path, name: str) -> str | None:
 
     Raises
     ------
-    ValueError
+    UserError
         More than one alert begins with it.
     """
     tasks = read_tasks(home)
@@ -39,7 +40,7 @@ def explain(home: Path, name: str) -> str | None:
             return "\n\n".join([*first, *(_unit_text(con, tasks, unit) for unit in units)])
         alerts = _alerts(con, tasks, "$1 <> '' and starts_with(a.alert_id, $1)", name.strip().lower())
     if len(alerts) > 1:
-        raise ValueError(f"{len(alerts)} alerts begin with {name}; give more of the id")
+        raise UserError(f"{len(alerts)} alerts begin with {name}; give more of the id")
     return "\n".join(_alert_lines(alerts[0])) if alerts else None
 
 

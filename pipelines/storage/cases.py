@@ -18,6 +18,7 @@ from typing import Any
 import polars as pl
 from polars.exceptions import PolarsError
 
+from hdt_core.errors import UserError
 from hdt_core.tables import TABLES
 from pipelines.storage import postgres
 from pipelines.storage.database import Database, query_value
@@ -40,7 +41,7 @@ _OWN = ("line", "at", "alert_id", "operator", "tail", "pack", "component", "diag
 _ADD = f"insert into cases ({', '.join(_OWN)}, body) values ({', '.join('?' * (len(_OWN) + 1))})"
 
 
-class ConflictError(Exception):
+class ConflictError(UserError):
     """Somebody else changed the case since it was read; the message names who, when and how."""
 
 

@@ -11,6 +11,8 @@ from functools import cache
 from typing import Any
 from urllib.parse import urlsplit
 
+from hdt_core.errors import UserError
+
 URL = "HDT_LEDGER_URL"
 _LOCK = "hashtext('hdt'), hashtext(current_schema())"
 # the server detects after a minute that a machine has lost its power, and releases its lock
@@ -23,7 +25,7 @@ _HOLDER = (
 )
 
 
-class DatabaseError(Exception):
+class DatabaseError(UserError):
     """The ledger's database does not answer; the message names it and the remedy, in one line."""
 
 

@@ -19,7 +19,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from pipelines.casework.changes import ACTIONS, KINDS, change_case, findings
+from pipelines.casework.changes import ACTIONS, KINDS, RefusedError, change_case, findings
 from pipelines.casework.listing import OPEN, history_of, list_cases
 from pipelines.digest.changes import Digest, changes_since
 from pipelines.digest.render import lines
@@ -146,7 +146,7 @@ class Casebook:
             )
         except ConflictError as error:
             return await self._case(request, 409, f"Nothing was written: {error}.")
-        except ValueError as error:
+        except RefusedError as error:
             return await self._case(request, 422, f"Nothing was written: {error}.")
         return await self._case(request, message=message)
 

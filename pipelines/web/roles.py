@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hdt_core.errors import UserError
 from hdt_core.toml_text import parse_toml
 
 FILE = "roles.toml"
@@ -15,7 +16,7 @@ ROLES = ("viewer", "engineer")
 _MAX_NAME = 80
 
 
-class RolesError(ValueError):
+class RolesError(UserError):
     """A wrong `roles.toml`; one line that names the entry."""
 
 

@@ -11,12 +11,10 @@ from gettext import GNUTranslations, NullTranslations
 from importlib import resources
 from typing import Any
 
+from hdt_core.errors import UserError
+
 ENGLISH, DOMAIN = "en", "hdt"
 _language: ContextVar[str] = ContextVar("language", default=ENGLISH)
-
-
-class NoLanguageError(ValueError):
-    """An unknown language; the message lists the known ones."""
 
 
 def languages() -> list[str]:
@@ -36,12 +34,12 @@ def use_language(name: str | None) -> Iterator[None]:
 
     Raises
     ------
-    NoLanguageError
+    UserError
         There is no such language.
     """
     code = name or ENGLISH
     if code not in languages():
-        raise NoLanguageError(f"no language {code}; there are {', '.join(languages())}")
+        raise UserError(f"no language {code}; there are {', '.join(languages())}")
     token = _language.set(code)
     try:
         yield

@@ -11,6 +11,7 @@ from babel.messages.pofile import read_po
 
 from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
 from hdt_core.alerts.signatures import CHANNELS
+from hdt_core.errors import UserError
 from hdt_core.tables.signals import Signals
 from pipelines import translations, words
 from pipelines.report.explain import explain
@@ -119,5 +120,5 @@ def test_numbers_are_written_as_the_language_writes_them():
 
 
 def test_a_language_that_is_not_there_ends_in_one_line():
-    with pytest.raises(ValueError, match="no language xx; there are en, de"), use_language("xx"):
+    with pytest.raises(UserError, match="no language xx; there are en, de"), use_language("xx"):
         pass

@@ -8,6 +8,7 @@ import pytest
 from case_homes import case_home
 from small_catalog import START
 
+from hdt_core.errors import UserError
 from pipelines.casework.changes import RefusedError, change_case
 from pipelines.casework.listing import find_case, history_of, list_cases
 from pipelines.storage.cases import ConflictError
@@ -124,7 +125,7 @@ def test_a_closed_alert_is_not_acknowledged_and_no_guess_is_made_between_two(hom
     with pytest.raises(RefusedError, match="closed on"):
         change(home, "gone", "acknowledge", "Ada")
     for name in ("", "x", "%", "_"):
-        with pytest.raises(LookupError):
+        with pytest.raises(UserError):
             find_case(home, name)
 
 
