@@ -248,9 +248,8 @@ def _print_rows(title: str, rows: list[dict[str, Any]], outlooks: pl.DataFrame) 
     for r in rows[:MAX_ROWS]:
         o = words.likeliest_outlook(outlooks, r)
         unit = f"{r['operator']} {r['tail']} {r['component'] + ' ' if 'name' in r else ''}{r['pack']}"
-        loss = words.share(r["loss"], r["loss_sd"]) if "name" in r else words.loss(r)
         diagnoses = words.diagnosis(r["diagnoses"]) if r["diagnoses"] else words.work_done(r)
-        table.add_row(unit, words.urgency(r), loss, words.flights_left(o), words.chance_by(o), diagnoses)
+        table.add_row(unit, words.urgency(r), words.loss(r), words.flights_left(o), words.chance_by(o), diagnoses)
     out.print(table, soft_wrap=False)
     if (n := len(rows) - MAX_ROWS) > 0:
         out.print(several("{n} more in the report.", "{n} more in the report.", n))

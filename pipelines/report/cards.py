@@ -10,7 +10,7 @@ from pipelines.report.drawing import drawing
 from pipelines.report.facts import Facts
 from pipelines.report.tasks import ACTIONS, Task, action_of, tasks_of
 from pipelines.report.tonight import tonight
-from pipelines.report.tracks import fleet_band, pack_tracks, unit_tracks
+from pipelines.report.tracks import fleet_band, tracks
 from pipelines.words import _, number
 
 Row = dict[str, Any]
@@ -30,21 +30,21 @@ STATES = {
 
 def tonight_with_cards(facts: Facts, fouling_limit: float) -> Row:
     """Return the table of `tonight`, the card of each of its rows, and how often alerts of each kind were right."""
-    tracks, fleet = pack_tracks(facts) | unit_tracks(facts), fleet_band(facts)
-    table = tonight(facts, tracks, fouling_limit)
+    charts, fleet = tracks(facts), fleet_band(facts)
+    table = tonight(facts, charts, fouling_limit)
     return table | {
-        "cards": [_card(facts, row, tracks, fleet) for row in (*table["rows"], *table["rest"])],
+        "cards": [_card(facts, row, charts, fleet) for row in (*table["rows"], *table["rest"])],
         "hit_rates": {r["diagnosis"]: r for r in facts["hit_rates"].to_dicts()},
     }
 
 
-def _card(facts: Facts, row: Row, tracks: Mapping[str, Row], fleet: Row) -> Row:
+def _card(facts: Facts, row: Row, charts: Mapping[str, Row], fleet: Row) -> Row:
     """Return the card of a row: open alerts, the chart where the unit has one, and its latest events."""
-    has_chart = row["card"] in tracks
-    events = sorted(tracks[row["card"]]["events"], key=lambda m: m["x"], reverse=True) if has_chart else []
+    has_chart = row["card"] in charts
+    events = sorted(charts[row["card"]]["events"], key=lambda m: m["x"], reverse=True) if has_chart else []
     return row | {
         "alerts": [a | answers(facts, a) for a in row["alerts"]],
-        "chart": drawing(tracks, row["card"], fleet, row["limit"]) if has_chart else None,
+        "chart": drawing(charts, row["card"], fleet, row["limit"]) if has_chart else None,
         "events": list(dict.fromkeys(m["text"] for m in events))[:3],
     }
 

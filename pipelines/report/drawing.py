@@ -43,7 +43,7 @@ class Frame:
 def drawing(tracks: Mapping[str, Row], name: str, fleet: Row, limit: float) -> Row:
     """Return areas, lines, levels, dots, marks and ticks of a chart.
 
-    `tracks` are those of `pack_tracks` and `unit_tracks`, `fleet` the band of `fleet_band`, `limit` the loss that
+    `tracks` are those of `tracks.tracks`, `fleet` the band of `fleet_band`, `limit` the loss that
     raises an alert.
     """
     track = tracks[name]

@@ -22,6 +22,19 @@ OUTLOOKS = """
     on c.operator = d.operator and c.tail = d.tail and c.pack = d.pack and c.component = d.component"""
 """Chance of a message before the next chance to act, and due date, of each unit and component."""
 
+_LONGEST_CRUISE = """
+    with best as (
+        select operator, flight_id, pack from tables.legs_samples
+        where monitored and phase = 'cruise' and hx_out_k is not null
+        group by operator, flight_id, pack
+        having count(*) >= 5
+        order by max(n_averaged) > 1 desc, count(*) desc, max(time_utc) desc, pack
+        limit 1
+    )
+    select t.* from best join {table} as t
+    on best.operator = t.operator and best.flight_id = t.flight_id and best.pack = t.pack"""
+"""Rows of the flight and pack with the most cruise samples: continuous logs first, then the latest."""
+
 _FRAMES = {
     "ranking": "select * from fleet_ranking order by place",
     "components": "select * from component_ranking order by place",
@@ -66,22 +79,27 @@ _FRAMES = {
             coalesce(sum(loaded), 0)::bigint as loaded, coalesce(sum(quarantined), 0)::bigint as quarantined,
             coalesce(sum(duplicate), 0)::bigint as duplicate
         from deliveries""",
+    "twin": """
+        select t.operator, t.tail, t.pack, t.flight_id, t.departed_at, l.admitted, t.ua_w_k, t.ua_expected_w_k,
+            t.diameter_m, t.group_m3, t.vda_counts
+        from tables.twin_flights as t
+        join legs as l on t.operator = l.operator and t.flight_id = l.flight_id and t.pack = l.pack
+        order by t.departed_at, t.flight_id, t.pack""",
+    "segment": _LONGEST_CRUISE.format(table="tables.legs_samples") + " order by t.time_utc, t.source",
+    "twin_flight": _LONGEST_CRUISE.format(table="tables.twin_flights"),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Frames of the catalog by subject, and the data of the figures.
+    """Frames of the catalog by subject.
 
-    `twin` holds one row a flight and pack with the columns the figures draw, `segment` the samples of one flight and
-    pack and `twin_flight` its estimate, `card` the model card, `dsm` the model in service; each may be empty or None.
-    `tasks` is the work of each action.
+    Of the figures' frames `twin` has a row a flight and pack, `segment` the samples of one flight and pack and
+    `twin_flight` its estimate. `card` is the model card, `dsm` the model in service, None before the first; `tasks` is
+    the work of each action.
     """
 
     frames: dict[str, pl.DataFrame]
-    twin: pl.DataFrame
-    segment: pl.DataFrame
-    twin_flight: pl.DataFrame
     card: dict[str, Any]
     dsm: Dsm | None
     tasks: Tasks
@@ -105,8 +123,7 @@ def read_facts(home: Path) -> Facts:
         cards = con.execute("select card from tables.prognosis_model order by month desc limit 1").fetchall()
         models = con.execute("select model from tables.calibration_dsm limit 1").fetchall()
         card = json.loads(cards[0][0]) if cards else {}
-        segment = _segment(con)
-        return Facts(frames, _twin(con), segment, _twin_flight(con, segment), card, _dsm(models), read_tasks(home))
+        return Facts(frames, card, _dsm(models), read_tasks(home))
 
 
 def views_read() -> list[str]:
@@ -115,42 +132,10 @@ def views_read() -> list[str]:
     return [view for view in views() if re.search(rf"\b{view}\b", queries)]
 
 
-def _frame(con: duckdb.DuckDBPyConnection, sql: str, *values: Any) -> pl.DataFrame:
-    frame = pl.from_arrow(con.sql(sql, params=list(values) or None).to_arrow_table())
+def _frame(con: duckdb.DuckDBPyConnection, sql: str) -> pl.DataFrame:
+    frame = pl.from_arrow(con.sql(sql).to_arrow_table())
     assert isinstance(frame, pl.DataFrame)
     return frame
-
-
-def _twin(con: duckdb.DuckDBPyConnection) -> pl.DataFrame:
-    """Read the flight estimates that the figures draw; a column that this home's table lacks becomes null."""
-    names = ("ua_w_k", "ua_expected_w_k", "diameter_m", "group_m3", "vda_counts")
-    present = set(con.sql("select * from tables.twin_flights limit 0").columns)
-    columns = ", ".join(f"t.{c}" if c in present else f"null::double as {c}" for c in names)
-    return _frame(
-        con,
-        f"""select t.operator, t.tail, t.pack, t.flight_id, t.departed_at, l.admitted, {columns}
-        from tables.twin_flights as t
-        join legs as l on t.operator = l.operator and t.flight_id = l.flight_id and t.pack = l.pack
-        order by t.departed_at, t.flight_id, t.pack""",
-    )
-
-
-def _segment(con: duckdb.DuckDBPyConnection) -> pl.DataFrame:
-    """Read the samples of the flight and pack with the most cruise samples: continuous logs first, then the latest."""
-    return _frame(
-        con,
-        """with best as (
-            select operator, flight_id, pack from tables.legs_samples
-            where monitored and phase = 'cruise' and hx_out_k is not null
-            group by operator, flight_id, pack
-            having count(*) >= 5
-            order by max(n_averaged) > 1 desc, count(*) desc, max(time_utc) desc, pack
-            limit 1
-        )
-        select s.* from tables.legs_samples as s
-        join best as b on s.operator = b.operator and s.flight_id = b.flight_id and s.pack = b.pack
-        order by s.time_utc, s.source""",
-    )
 
 
 def _dsm(models: list[tuple[str]]) -> Dsm | None:
@@ -159,10 +144,3 @@ def _dsm(models: list[tuple[str]]) -> Dsm | None:
         return Dsm.from_dict(json.loads(models[0][0])) if models else None
     except (KeyError, TypeError):
         return None
-
-
-def _twin_flight(con: duckdb.DuckDBPyConnection, segment: pl.DataFrame) -> pl.DataFrame:
-    """Read the flight estimate of the segment."""
-    first = segment.select("operator", "flight_id", "pack").head(1).rows()
-    sql = "select * from tables.twin_flights where operator = $1 and flight_id = $2 and pack = $3"
-    return _frame(con, sql, *(first[0] if first else ("", "", 0)))

@@ -37,7 +37,7 @@ def _figure(title: str, caption: Any, draw: Callable[[str], Any] | None = None, 
 
 def _nominal(facts: Facts, *columns: str) -> pl.DataFrame:
     """Return admitted flights with all of `columns`."""
-    return facts.twin.filter(pl.col("admitted")).drop_nulls(list(columns))
+    return facts["twin"].filter(pl.col("admitted")).drop_nulls(list(columns))
 
 
 def _count(rows: pl.DataFrame) -> Markup:
@@ -101,17 +101,17 @@ def outlet_temperature(facts: Facts) -> Figure:
 
 def _samples_with_residuals(facts: Facts) -> pl.DataFrame | None:
     """Return cruise samples of the replacement flight with their residuals."""
-    if facts.dsm is None or not facts.segment.height or not facts.twin_flight.height:
+    if facts.dsm is None or not facts["segment"].height or not facts["twin_flight"].height:
         return None
-    cruise = facts.segment.filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
-    samples = outlet_residuals(cruise, facts.twin_flight, facts.dsm)
+    cruise = facts["segment"].filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
+    samples = outlet_residuals(cruise, facts["twin_flight"], facts.dsm)
     return samples if samples.height else None
 
 
 def coefficient_drift(facts: Facts) -> Figure:
     """Build figure 16: conductance over the flights before and after a replacement."""
     title = _("Figure 16: conductance before and after a replacement")
-    shares = facts.twin.with_columns(ua_share=pl.col("ua_w_k") / pl.col("ua_expected_w_k")).drop_nulls("ua_share")
+    shares = facts["twin"].with_columns(ua_share=pl.col("ua_w_k") / pl.col("ua_expected_w_k")).drop_nulls("ua_share")
     replacement = around_replacement(shares, facts["maintenance"])
     if replacement is None:
         return _figure(title, _("No heat exchanger was replaced with flights on record before it."))

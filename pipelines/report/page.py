@@ -18,7 +18,7 @@ from pipelines.report.templating import policy, render
 from pipelines.report.thresholds import thresholds
 from pipelines.storage.files import replacing
 from pipelines.storage.settings import alert_limits, changed_limits
-from pipelines.words import _
+from pipelines.words import _, format_count
 
 CLOSED_DAYS = 180  # alerts closed longer ago stand in the catalog only
 MONTHS = 12
@@ -101,7 +101,7 @@ def _filter_yield(facts: Facts) -> dict[str, Any]:
                 "{operator} {share} of {n} legs",
                 operator=r["operator"],
                 share=words.percent(r["n_admitted"] / r["n_legs"]),
-                n=words.count(r["n_legs"]),
+                n=format_count(r["n_legs"]),
             )
             for r in total.to_dicts()
         ),
@@ -109,7 +109,7 @@ def _filter_yield(facts: Facts) -> dict[str, Any]:
         "aircraft": rows.select("operator", "tail").unique().sort("operator", "tail").rows(),
         "of": of,
         "why": ", ".join(
-            f"{_(words.REASONS.get(r['reason'], r['reason']))} ({words.count(r['legs'])})"
+            f"{_(words.REASONS.get(r['reason'], r['reason']))} ({format_count(r['legs'])})"
             for r in facts["reasons"].to_dicts()
         ),
     }

@@ -14,7 +14,7 @@ from hdt_core.alerts.evidence import ROLES
 from pipelines.report import words
 from pipelines.report.units import estimate, in_words, quantity, threshold
 from pipelines.report.words import visible
-from pipelines.words import _, language, several
+from pipelines.words import _, format_count, language, several
 
 NOTHING_FETCHED = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
@@ -42,8 +42,8 @@ def report_templates(*packages: str) -> Environment:
     environment = templates_of(*packages, "pipelines.report")
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # unsorted: a chart's parts refer back
     environment.globals |= {
-        "_": html_text, "several": several, "anchor": anchor, "estimate": estimate, "evidence": evidence,
-        "quantity": quantity, "threshold": threshold, "words": words,
+        "_": html_text, "several": several, "anchor": anchor, "count": format_count, "estimate": estimate,
+        "evidence": evidence, "quantity": quantity, "threshold": threshold, "words": words,
     }  # fmt: skip
     return environment
 

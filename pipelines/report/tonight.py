@@ -11,8 +11,8 @@ from hdt_core.components import components
 from pipelines.report import words
 from pipelines.report.facts import Facts
 from pipelines.report.tasks import ACTIONS, action_of, tasks_of
-from pipelines.report.templating import anchor
-from pipelines.words import _, number, several
+from pipelines.report.tracks import card_id
+from pipelines.words import _, format_count, number, several
 
 Row = dict[str, Any]
 AXIS_DAYS = 120
@@ -63,7 +63,7 @@ def _row(
     """Return the cells of a pack or unit; chance and date are those of the component whose message is likelier."""
     own, key = "name" in row, words.unit_key(row)
     code = row["component"] if own else "HX"
-    card = anchor("unit", row["component"], *key) if own else anchor("pack", *key)
+    card = card_id(row)
     outlook = words.likeliest_outlook(facts["outlooks"], row)
     alerts = open_alerts.filter(operator=row["operator"], tail=row["tail"], pack=row["pack"]).to_dicts()
     margins = facts.of_pack("margins", *key).to_dicts() if not own and not row["work_action"] else []
@@ -78,7 +78,7 @@ def _row(
         "find": words.search_text(row, row["diagnoses"]),
         "notes": list(_notes(facts, row, outlook, alerts)),
         "loss": row["loss" if own else "hx_fouling"],
-        "loss_text": words.share(row["loss"], row["loss_sd"]) if own else words.loss(row),
+        "loss_text": words.loss(row),
         "spark": _spark(tracks[card]["own"], limits[code]) if card in tracks else None,
         "flights": outlook["rul_flights"],
         "flights_text": words.flights_left(outlook),
@@ -176,6 +176,6 @@ def _flights_line(facts: Facts) -> str:
         "{n} flight of {aircraft} aircraft; the last left on {last}.",
         "{n} flights of {aircraft} aircraft; the last left on {last}.",
         flights.height,
-        aircraft=words.count(flights.select("operator", "tail").n_unique()),
+        aircraft=format_count(flights.select("operator", "tail").n_unique()),
         last=words.clock(facts.until()),
     )

@@ -1,7 +1,6 @@
 """Collect the data of each unit's chart: loss over time, events, and the forecast to the level of the message."""
 
 from datetime import date
-from itertools import pairwise
 from typing import Any
 
 import polars as pl
@@ -43,55 +42,56 @@ def fleet_band(facts: Facts) -> Columns:
     return {"x": middle, **{n: [round(v, 1) for v in band[n]] for n in ("low", "high")}}
 
 
-def pack_tracks(facts: Facts) -> dict[str, Row]:
-    """Return the data of each pack's chart by the id of its card."""
-    tracks = {}
-    for row in facts["ranking"].to_dicts():
-        key = words.unit_key(row)
+def card_id(row: Row) -> str:
+    """Return the id of the card of a pack, or of a unit of another component."""
+    key = words.unit_key(row)
+    return anchor("unit", row["component"], *key) if "name" in row else anchor("pack", *key)
+
+
+def tracks(facts: Facts) -> dict[str, Row]:
+    """Return the data of the chart of each pack and unit with a loss on record, by the id of its card."""
+    charts: dict[str, Row] = {}
+    packs: dict[tuple[Any, ...], list[str]] = {}
+    for row in (*facts["ranking"].to_dicts(), *facts["components"].to_dicts()):
+        key, card = words.unit_key(row), card_id(row)
         parts = {name: facts.of_pack(name, *key) for name in ("health", "alerts", "maintenance", "messages")}
-        if not parts["health"].height:
-            continue
-        hx = parts["health"].filter(parameter="hx_fouling").rename({"value": "loss", "sd": "loss_sd"})
-        cc = thin(parts["health"].filter(parameter="cc_efficiency_loss"))
-        other = {"x": cc.select(_ms("departed_at")).to_series().to_list(), "y": _percent(cc["value"])}
-        outlook = words.likeliest_outlook(facts["outlooks"], row)
-        tail = f"{row['operator']} {row['tail']}"
-        tracks[anchor("pack", *key)] = _track(hx, parts, outlook, other) | {"tail": tail}
-    for tail in {t["tail"] for t in tracks.values()}:  # each of two packs names the other
-        for a, b in pairwise([*(names := [k for k, t in tracks.items() if t["tail"] == tail]), names[0]]):
-            if a != b:
-                tracks[a]["other"] = b
-    return tracks
-
-
-def unit_tracks(facts: Facts) -> dict[str, Row]:
-    """Return the data of the chart of each unit of another component."""
-    tracks = {}
-    for row in facts["components"].to_dicts():
-        own = facts.of_pack("component_losses", *words.unit_key(row)).filter(component=row["component"])
-        alerts = facts.of_pack("alerts", *words.unit_key(row)).filter(component=row["component"])
-        if own.height:
-            parts = {"alerts": alerts} | {name: facts[name].clear() for name in ("maintenance", "messages")}
+        if "name" in row:
+            losses = facts.of_pack("component_losses", *key).filter(component=row["component"])
+            alerts = parts["alerts"].filter(component=row["component"])
+            parts = {name: frame.clear() for name, frame in parts.items()} | {"health": losses, "alerts": alerts}
+            compressor = losses.clear()
+        else:
+            health = parts["health"].rename({"value": "loss", "sd": "loss_sd"})
+            losses, compressor = (health.filter(parameter=p) for p in ("hx_fouling", "cc_efficiency_loss"))
+        if parts["health"].height:
             outlook = words.likeliest_outlook(facts["outlooks"], row)
-            tracks[anchor("unit", row["component"], *words.unit_key(row))] = _track(own, parts, outlook)
-    return tracks
+            charts[card] = _track(losses, parts, outlook, _columns(thin(compressor)))
+            if "name" not in row:
+                packs.setdefault(key[:2], []).append(card)
+    for cards in packs.values():  # of two packs each names the other
+        charts |= {a: charts[a] | {"other": b} for a, b in zip(cards, cards[1:] + cards[:1], strict=True) if a != b}
+    return charts
 
 
-def _track(losses: pl.DataFrame, parts: dict[str, pl.DataFrame], outlook: Row, cc: Columns | None = None) -> Row:
+def _columns(rows: pl.DataFrame) -> Columns:
+    return {"x": rows.select(_ms("departed_at")).to_series().to_list(), "y": _percent(rows["loss"])}
+
+
+def _track(losses: pl.DataFrame, parts: dict[str, pl.DataFrame], outlook: Row, cc: Columns) -> Row:
     """Return the data of a chart and its ranges. Times in ms since 1970, losses in percent."""
     flights = thin(losses)
     half_width = Z_90 * flights["loss_sd"].fill_null(0.0)
     low, high = (_percent(flights["loss"] + side * half_width) for side in (-1, 1))
-    own = {"x": flights.select(_ms("departed_at")).to_series().to_list(), "y": _percent(flights["loss"])}
-    whole = parts.get("health", flights).select(a=_ms("departed_at").min(), b=_ms("departed_at").max())
+    own = _columns(flights)
+    whole = parts["health"].select(a=_ms("departed_at").min(), b=_ms("departed_at").max())
     start, now = whole.row(0)
-    line = cc if cc and outlook["component"] == "CC" else own
+    line = cc if outlook["component"] == "CC" else own
     fan = _fan(outlook, now, line["y"][-1]) if line["y"] else {}
     span = max(now - start, DAY_MS)
     ahead = min(max([0.22 * span, *(x - now for x, _y in fan.get("area", ()))]), 0.6 * span)
     top = max([45.0, *(v + 5.0 for v in own["y"]), *(y + 3.0 for _x, y in fan.get("area", ()))])
     return {
-        "own": own | {"low": low, "high": high}, "cc": cc or {"x": [], "y": []}, "fan": fan, "now": now,
+        "own": own | {"low": low, "high": high}, "cc": cc, "fan": fan, "now": now,
         "events": _events(parts, start), "x": (start, now + 1.03 * ahead), "y": (-10.0, top),
     }  # fmt: skip
 

@@ -142,8 +142,9 @@ def chance_by(outlook: Row) -> str:
 
 
 def loss(row: Row) -> str:
-    """Format conductance lost with its interval."""
-    return share(row["hx_fouling"], row["hx_fouling_sd"])
+    """Format the loss of a pack's exchanger, or of a unit, with its interval."""
+    name = "loss" if "name" in row else "hx_fouling"
+    return share(row[name], row[f"{name}_sd"])
 
 
 def share(value: float | None, sd: float | None, digits: int = 0) -> str:
@@ -211,8 +212,8 @@ def hit_rate(row: Row | None) -> str:
         return _("no case has an outcome yet")
     share_right = _(
         "{right} of {judged} confirmed ({share}, {low} to {high})",
-        right=count(row["n_right"]),
-        judged=count(row["n_judged"]),
+        right=format_count(row["n_right"]),
+        judged=format_count(row["n_judged"]),
         share=percent(row["hit_rate"]),
         low=number(100 * row["hit_rate_low"]),
         high=number(100 * row["hit_rate_high"]),
@@ -239,11 +240,6 @@ def figures(value: float | None, digits: int = 4) -> str:
     if value == 0 or not 1e-4 <= abs(value) < 1e6:
         return f"{value:.{digits}g}"
     return number(value, max(0, digits - 1 - math.floor(math.log10(abs(value)))))
-
-
-def count(n: int) -> str:
-    """Format a count with thousands separators."""
-    return format_count(n)
 
 
 def visible(text: str) -> str:

@@ -12,7 +12,7 @@ from pipelines.report.cards import tonight_with_cards
 from pipelines.report.drawing import SIDE, Frame, drawing
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import page, write_report
-from pipelines.report.tracks import DAY_MS, fleet_band, pack_tracks
+from pipelines.report.tracks import DAY_MS, fleet_band, tracks
 from pipelines.report.words import day, diagnosis, pack_name
 from pipelines.storage.publication import publish
 
@@ -95,7 +95,7 @@ def test_the_figures_are_drawn(sample_page):
 
 def test_a_pack_is_drawn_as_the_catalog_says_it_is(facts, sample_page):
     """The last point of each chart is the pack's own with its interval; and whose the other is."""
-    drawn = pack_tracks(facts)
+    drawn = tracks(facts)
     for row in facts["ranking"].to_dicts():
         name = f"pack-{row['operator']}-{row['tail']}-{row['pack']}"
         own, layout = drawn[name], drawing(drawn, name, fleet_band(facts), 0.15)
@@ -125,17 +125,17 @@ def with_outlook(facts: Facts, **values) -> Facts:
 
 def test_the_forecast_is_a_fan_from_the_last_loss_to_the_messages_level(facts):
     left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0}
-    for track in pack_tracks(with_outlook(facts, **left)).values():
+    for track in tracks(with_outlook(facts, **left)).values():
         now, loss = track["now"], track["own"]["y"][-1]
         level = max(38.0, loss)
         assert track["fan"]["area"] == [(now, loss), (now + 10 * DAY_MS, level), (now + 75 * DAY_MS, level)]
         assert track["fan"]["median"] == [(now, loss), (now + 30 * DAY_MS, level)]
     for far in ({"p_event_50": 0.04}, {"rul_flights": 300.0}):
-        tracks = pack_tracks(with_outlook(facts, **(left | far)))
-        assert {len(t["fan"]["median"]) for t in tracks.values()} == {0}, "no median where no message is near"
+        charts = tracks(with_outlook(facts, **(left | far)))
+        assert {len(t["fan"]["median"]) for t in charts.values()} == {0}, "no median where no message is near"
     for lacking in ({"flights_per_day": None}, {"rul_low": None}):
-        tracks = pack_tracks(with_outlook(facts, **(left | lacking)))
-        assert [t["fan"] for t in tracks.values()] == [{}] * len(tracks)
+        charts = tracks(with_outlook(facts, **(left | lacking)))
+        assert [t["fan"] for t in charts.values()] == [{}] * len(charts)
 
 
 def test_the_fan_of_a_compressor_starts_from_its_own_loss(facts):
@@ -143,7 +143,7 @@ def test_the_fan_of_a_compressor_starts_from_its_own_loss(facts):
     half = facts["health"].filter(parameter="hx_fouling").with_columns(parameter=pl.lit("cc_efficiency_loss"))
     health = pl.concat([facts["health"].filter(parameter="hx_fouling"), half.with_columns(value=0.5 * pl.col("value"))])
     worn = replace(facts, frames=facts.frames | {"health": health})
-    for track in pack_tracks(with_outlook(worn, **left)).values():
+    for track in tracks(with_outlook(worn, **left)).values():
         assert track["fan"]["area"][0][1] == track["cc"]["y"][-1] != track["own"]["y"][-1]
         assert track["fan"]["level"] == max(25.0, track["cc"]["y"][-1])
 
@@ -222,8 +222,8 @@ def first_flights(facts: Facts, n: int) -> Facts:
     frames["ranking"] = ranking.with_columns(
         diagnoses=pl.lit(None, dtype=pl.String), raised_at=None, urgency=pl.lit("none"), hx_fouling_sd=unknown
     )
-    twin = facts.twin.filter(tail=tail).filter(pl.col("flight_id").is_in(flights))
-    return replace(facts, frames=frames, twin=twin, segment=facts.segment.clear(), card={}, dsm=None)
+    frames["twin"] = facts["twin"].filter(tail=tail).filter(pl.col("flight_id").is_in(flights))
+    return replace(facts, frames=frames | {"segment": facts["segment"].clear()}, card={}, dsm=None)
 
 
 @pytest.mark.parametrize("n", [1, 5])
@@ -245,7 +245,7 @@ def repeated(facts: Facts, times: int) -> Facts:
             frame.with_columns(tail=pl.format("T{}-{}", pl.lit(i), pl.col("tail").str.slice(-3))) for i in range(times)
         )
 
-    return replace(facts, frames={name: copies(f) for name, f in facts.frames.items()}, twin=copies(facts.twin))
+    return replace(facts, frames={name: copies(f) for name, f in facts.frames.items()})
 
 
 def test_fifty_aircraft_stay_below_five_megabytes(facts):
@@ -261,7 +261,7 @@ def test_a_hostile_fleet_stays_in_its_place(facts, read, hostile, sample_page):
         return frame.with_columns(pl.concat_str(pl.col(c).fill_null(""), pl.lit(hostile)).alias(c) for c in texts)
 
     frames = {name: poison(f) for name, f in facts.frames.items()}
-    bad = replace(facts, frames=frames, twin=poison(facts.twin), card={hostile: {hostile: hostile}, "list": [hostile]})
+    bad = replace(facts, frames=frames, card={hostile: {hostile: hostile}, "list": [hostile]})
     html = page(bad)
     parsed, plain = read(html), read(sample_page)
     assert parsed.tags.count("script") == plain.tags.count("script")
