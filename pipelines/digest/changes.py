@@ -35,11 +35,6 @@ class Digest:
     until: str | None
     changes: dict[str, list[Row]]
 
-    @property
-    def empty(self) -> bool:
-        """Test for no change."""
-        return not self.changes
-
     def of(self, operator: str | None) -> "Digest":
         """Return the changes of one operator; all with None."""
         if operator is None:

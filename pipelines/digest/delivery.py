@@ -83,7 +83,7 @@ def _deliver(home: Path, receiver: Receiver, now: State, night: str, record: dic
     entry = record.get(receiver.name, {})
     before = EMPTY | _read_json(home / _FOLDER / entry["told"]) if "told" in entry else EMPTY
     digest = compare(before, now).of(receiver.operator)
-    if not digest.empty:
+    if digest.changes:
         try:
             send(receiver, digest, hash_text(receiver.name, as_json(digest)), home)
         except Exception as error:  # no receiver may end a night, whatever its library raises

@@ -23,8 +23,6 @@ TITLES = {
     "gap": "Data gaps",
     "refused": "Files refused, whole or in part",
 }
-_SHORT = {"new": "new", "worse": "worse", "closed": "closed", "moved": "moved", "eased": "eased", "silent": "silent",
-          "gap": "gaps", "refused": "refused"}  # fmt: skip
 _GAPS = {
     "missing_leg": "{flights} after {after_flight_id} never arrived",
     "silence": "silent for {silent_days:.0f} days from {since}",
@@ -37,7 +35,7 @@ PAGES = templates_of("pipelines.digest", finalize=lambda value: "" if value is N
 
 def subject(digest: Digest) -> str:
     """Return a line such as `Fleet: 1 new, 2 worse, 1 closed`."""
-    counts = ", ".join(f"{len(rows)} {_SHORT[kind]}" for kind, rows in digest.changes.items())
+    counts = ", ".join(f"{len(rows)} {'gaps' if kind == 'gap' else kind}" for kind, rows in digest.changes.items())
     return f"Fleet: {counts or 'nothing changed'}"
 
 

@@ -1,6 +1,7 @@
 """Explain one pack or one alert from the catalog: its evidence when raised, and now."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,8 @@ def explain(home: Path, name: str) -> str | None:
     with connect(home) as con:
         packs, units = (_ranked(con, name, view) for view in ("fleet_ranking", "component_ranking"))
         if packs or units:
-            first = [_pack_text(con, tasks, packs[0], packs[1:])] if packs else []
-            return "\n\n".join([*first, *(_unit_text(con, tasks, unit) for unit in units)])
+            first = [_text(con, tasks, packs[0], packs[1:])] if packs else []
+            return "\n\n".join([*first, *(_text(con, tasks, unit) for unit in units)])
         alerts = _alerts(con, tasks, "$1 <> '' and starts_with(a.alert_id, $1)", name.strip().lower())
     if len(alerts) > 1:
         raise UserError(f"{len(alerts)} alerts begin with {name}; give more of the id")
@@ -64,24 +65,13 @@ def _ranked(con: duckdb.DuckDBPyConnection, name: str, view: str) -> list[Row]:
     return _rows(con, f"select * from {view} where {condition} order by place", tail, operator, pack and int(pack))
 
 
-def _unit_text(con: duckdb.DuckDBPyConnection, tasks: Tasks, row: Row) -> str:
-    """Describe a unit of another component and its open alerts."""
-    alerts = _alerts(con, tasks, f"{_UNIT} = $4", *words.unit_key(row), row["component"])
-    head = _(
-        "{unit}: {urgency}. {lost} {loss}, flights left {left}, chance of a failure within 50 flights {chance}; after "
-        "{flight}, {time}.",
-        unit=f"{row['operator']} {words.unit_name(row)}",
-        lost=_(row["lost"]),
-        loss=words.share(row["loss"], row["loss_sd"]),
-        **_last(row),
-    )
-    opened = [a for a in alerts if a["closed_at"] is None]
-    return "\n".join([head, *words.unknown([row]), *(line for a in opened for line in ("", *_alert_lines(a)))])
-
-
-def _pack_text(con: duckdb.DuckDBPyConnection, tasks: Tasks, row: Row, others: list[Row]) -> str:
-    units = "select component from tables.components where recorded"
-    alerts = _alerts(con, tasks, f"{_UNIT} not in ({units})", *words.unit_key(row))
+def _text(con: duckdb.DuckDBPyConnection, tasks: Tasks, row: Row, others: Sequence[Row] = ()) -> str:
+    """Describe a pack, or a unit of another component, its open alerts, and in a line each the `others`."""
+    if "name" in row:
+        alerts = _alerts(con, tasks, f"{_UNIT} = $4", *words.unit_key(row), row["component"])
+    else:
+        units = "select component from tables.components where recorded"
+        alerts = _alerts(con, tasks, f"{_UNIT} not in ({units})", *words.unit_key(row))
     opened = [a for a in alerts if a["closed_at"] is None]
     lines = [_head(row), *words.unknown([row]), *(line for a in opened for line in ("", *_alert_lines(a)))]
     if not opened:
@@ -95,24 +85,22 @@ def _before(last: Row) -> str:
     return _("The last, {diagnosis}, closed {day}: alert {id}.", id=last["alert_id"], **values)
 
 
-def _last(row: Row) -> Row:
-    """Return the state of a pack or unit after its last flight."""
-    return {
-        "urgency": words.urgency(row),
-        "left": words.flights_left(row),
-        "chance": words.chance(row["p_event_50"]),
-        "flight": row["last_flight_id"],
-        "time": words.clock(row["last_departed_at"]),
-    }
-
-
 def _head(row: Row) -> str:
+    """Write the state of a pack or unit after its last flight."""
+    own = "name" in row
+    lost = row["lost"] if own else words.WEARS["HX"][0]
     return _(
-        "{pack}: {urgency}. Heat transfer lost {loss}, flights left {left}, chance of a message within 50 flights "
-        "{chance}; after {flight}, {time}.",
-        pack=f"{row['operator']} {words.pack_name(row)}",
+        "{unit}: {urgency}. {lost} {loss}, flights left {left}, chance of {event} within 50 flights {chance}; after "
+        "{flight}, {time}.",
+        unit=f"{row['operator']} {words.unit_name(row)}",
+        urgency=words.urgency(row),
+        lost=_(lost),
+        event=_("a failure") if own else _("a message"),
         loss=words.loss(row),
-        **_last(row),
+        left=words.flights_left(row),
+        chance=words.chance(row["p_event_50"]),
+        flight=row["last_flight_id"],
+        time=words.clock(row["last_departed_at"]),
     )
 
 

@@ -47,9 +47,9 @@ def test_a_digest_tells_what_is_new_worse_closed_and_moved(two_nights):
 def test_the_same_night_twice_is_no_change_and_an_operator_sees_its_own(two_nights):
     with connect(two_nights) as con:
         now = read_state(con)
-    assert compare(now, now).empty
+    assert not compare(now, now).changes
     assert compare(EMPTY, now).of("AAA").changes == compare(EMPTY, now).changes
-    assert compare(EMPTY, now).of("ZZZ").empty
+    assert not compare(EMPTY, now).of("ZZZ").changes
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,9 @@ def test_an_outlook_moved_where_it_left_its_own_interval(then, now, flown, expec
         return EMPTY | {"outlook": {"one": row | names}}
 
     assert ("moved" in compare(state(then, 20), state(now, 20 + flown)).changes) is expected
-    assert compare(state(then, 20), state(now, 20 + flown, life=1)).empty, "another unit has an outlook of its own"
+    assert not compare(state(then, 20), state(now, 20 + flown, life=1)).changes, (
+        "another unit has an outlook of its own"
+    )
 
 
 def test_work_orders_say_by_when(two_nights, tmp_path):
