@@ -21,10 +21,10 @@ from benchmarks.random_problems import draw_problems
 from hdt_core.estimation import Estimate, Estimator, Problem, estimators
 from hdt_core.estimation.descent import descend
 from hdt_core.estimation.fit import noise_variance
+from hdt_core.robust import Z_90
 
 NEAR = 1e-3  # standard deviations
 STARTS = 24
-LEVEL_90 = 1.6448536
 
 
 @dataclass(slots=True)
@@ -79,7 +79,7 @@ def main(n: int, methods: Sequence[Estimator], seed: int = 0, starts: int = STAR
             above = float(problem.objective(estimate.belief.mean[None])[0]) - best
             tally.at_best += above <= allowed
             if estimate.status not in ("diverged", "not_identifiable") and np.isfinite(truth).all():
-                tally.covered += (np.abs(estimate.belief.mean - truth) < LEVEL_90 * estimate.belief.sd).tolist()
+                tally.covered += (np.abs(estimate.belief.mean - truth) < Z_90 * estimate.belief.sd).tolist()
             if estimate.status == "converged" and above > allowed:
                 tally.broken.append(f"{family} {i}: {above:.3g}")
     return tallies

@@ -25,9 +25,9 @@ from benchmarks.harness import DOCS, arguments, markdown, show
 from hdt_benchmark.oscillator import TRUTH, oscillator_problem, true_position_m
 from hdt_core.estimation import Estimate, Estimator, ExtendedKalman, ParticleSwarm, UnscentedKalman, estimators
 from hdt_core.estimation.identifiability import fisher
+from hdt_core.robust import Z_90
 
 SLOW = {"pinn", "particle", "rls", "strong_tracking", "ekf_pso"}
-LEVEL, QUANTILE = 0.9, 1.6448536
 PAPER = {  # tables 1 and 2: damping, stiffness, MSE, MAPE, seconds
     "ukf": (0.404, 1.959, 3.2e-4, 0.553, 0.022),
     "ekf": (0.5, 2.0, 2.6e-4, 0.502, 0.027),
@@ -119,7 +119,7 @@ def _row(name: str, records: list[tuple[Estimate, float]]) -> Row:
         sd=theta.std(axis=0),
         bias_to_bound=error.mean(axis=0) / bound,
         rmse_to_bound=np.sqrt((error**2).mean(axis=0)) / bound,
-        coverage=(np.abs(error) < QUANTILE * sd).mean(axis=0),
+        coverage=(np.abs(error) < Z_90 * sd).mean(axis=0),
         failures=int((~ended_well).sum()),
         mse_truth=np.quantile(mse, [0.5, 0.05, 0.95]),
         mse_measured=float(np.median(((positions - measured) ** 2).mean(axis=1))),
@@ -196,7 +196,7 @@ def figures(rows: list[Row], folder: Path) -> list[Path]:
         for k, r in enumerate(of_paper):
             if r.first.path is not None:
                 axis.plot(t, r.first.path[:, i], color=f"C{k}", lw=1, label=f"{r.name}, filtered")
-            half = QUANTILE * r.first.belief.sd[i]
+            half = Z_90 * r.first.belief.sd[i]
             axis.errorbar(
                 10.3 + 0.3 * k, r.first.belief.mean[i], half, color=f"C{k}", marker="o", ms=3, label=f"{r.name}, 90 %"
             )
