@@ -26,8 +26,8 @@ from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.service import update_model
 from hdt_core.records.keys import PACK
 from hdt_core.tracking.track import track
-from pipelines.baseline import records_until
 from pipelines.learned import shipped_base
+from pipelines.versions import records_until
 
 Tables = dict[str, Any]
 RECORD = ("snapshots", "maintenance", "messages")

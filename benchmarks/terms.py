@@ -20,13 +20,13 @@ from hdt_core.calibration.dsm import Dsm
 from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.robust import spread
 from hdt_core.simulate.design import FleetSettings
-from pipelines.baseline import baseline_cells
 from pipelines.cli.look import propose_terms
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import nightly
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import accept_terms
 from pipelines.storage.store import Store
+from pipelines.versions import baseline_cells
 
 
 class Outcome(NamedTuple):

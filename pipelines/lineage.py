@@ -15,7 +15,6 @@ from hdt_core.tables import TABLES
 
 Grain = Literal["flight", "aircraft", "fleet"]
 BATCH_FACTORS = {"flight": 4, "aircraft": 20, "fleet": 1}
-PACK, COMPONENT = "pack", "component"
 FLIGHT_FILES = ("acms", "history", "cpl", "recorder")
 RECORD_FILES = ("messages", "maintenance", "reports")
 DECLARED = "1 " + " ".join(c.version for c in components().values())
@@ -68,8 +67,6 @@ class Stage:
     batch_factor : int, optional
         Flights that a run may take, as a multiple of those of a run that reads files; by grain where not given. Fewer
         runs cost less bookkeeping.
-    road : str
-        `pack`, or `component` for what few aircraft have; a run's stages share it.
     """
 
     name: str
@@ -79,7 +76,6 @@ class Stage:
     fresh: str = ""
     label: str = ""
     batch_factor: int | None = None
-    road: str = PACK
 
     @cached_property
     def grain(self) -> Grain:
@@ -251,8 +247,6 @@ STAGES = (
             code=f"2 {DECLARED}",
         ),
         untracked=("raw_fleet",),
-        label="declared components",
-        road=COMPONENT,
     ),
     Stage(
         "calibration_components",
@@ -264,13 +258,11 @@ STAGES = (
             settings=("terms",),
             code=f"3 {DECLARED}",
         ),
-        road=COMPONENT,
     ),
     Stage(
         "twin_components",
         "twin",
         same_recipe("twin_components", "residuals_components", parents=("calibration_components",), code="4"),
-        road=COMPONENT,
     ),
     Stage(
         "features_components",
@@ -282,7 +274,6 @@ STAGES = (
             settings=("limits",),
             code="6",
         ),
-        road=COMPONENT,
     ),
     Stage("declared_components", "raw", same_recipe("components", code=DECLARED)),
     Stage("prognosis_base", "prognosis", same_recipe("prognosis_base", code="4"), label="prognosis"),

@@ -11,12 +11,12 @@ from functools import cache
 
 import polars as pl
 
+from hdt_core.flight.windows import baseline_flights
 from hdt_core.tables import TABLES
-from pipelines.baseline import baseline_inputs
 from pipelines.lineage import LINEAGE, Recipe, Stage
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.settings import HOME_SETTINGS
-from pipelines.storage.store import Aircraft
+from pipelines.storage.settings import HOME_SETTINGS, accepted_terms
+from pipelines.storage.store import Aircraft, Store
 
 CELL = ("operator", "tail", "flight_id")
 _DEPTH = {"flight": 3, "aircraft": 2, "fleet": 0}
@@ -138,3 +138,31 @@ def _with_version(cells: pl.DataFrame, code: str) -> pl.DataFrame:
     full = cells.with_columns([pl.lit("").alias(c) for c in CELL if c not in cells.columns])
     versions = full.with_columns(version=line.map_elements(lambda s: digest(code, s), return_dtype=pl.String))
     return versions.select(*CELL, "version")
+
+
+def baseline_cells(ledger: Ledger) -> pl.DataFrame:
+    """Return the commissioning window: operator, tail, flight_id, version. A flight id sorts by day and leg."""
+    cells = ledger.cells("legs_samples")
+    flights = baseline_flights(cells.with_columns(departed_at=pl.col("flight_id").str.slice(-11)))
+    return cells.filter(pl.col("flight_id").is_in(flights))
+
+
+def baseline_records(store: Store, table: str, cells: pl.DataFrame) -> pl.DataFrame:
+    """Read messages, maintenance or printed reports up to the day of each aircraft's last baseline flight."""
+    return records_until(store.read_table(table), cells)
+
+
+def records_until(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:
+    """Return the records up to the day of each aircraft's last flight in `cells`."""
+    on = next(pl.col(c).cast(pl.Date) for c in ("message_time", "reported_at", "done_on") if c in records.columns)
+    day = pl.col("flight_id").str.slice(-11, 8).str.to_date("%Y%m%d").max().alias("last_day")
+    last = cells.group_by("operator", "tail").agg(day)
+    return records.join(last, on=["operator", "tail"], validate="m:1").filter(on <= pl.col("last_day")).drop("last_day")
+
+
+def baseline_inputs(ledger: Ledger) -> list[str]:
+    """Return the model's inputs as lines to be hashed."""
+    store, cells = Store(ledger.home), baseline_cells(ledger)
+    records = [baseline_records(store, t, cells) for t in ("raw_messages", "raw_maintenance", "raw_reports")]
+    terms = [f"term {name}" for name in accepted_terms(ledger.home)]
+    return [line for frame in (cells, *records) for line in sorted(map(str, frame.rows()))] + terms

@@ -17,11 +17,11 @@ from hdt_core.records.keys import LEG
 from hdt_core.records.packs import of_each_aircraft
 from hdt_core.tables.signals import SIGNALS
 from pipelines.assets.stage import StageResult, stage
-from pipelines.baseline import baseline_cells, baseline_records
 from pipelines.report.pictures import calibration_metadata
 from pipelines.resources import Home
 from pipelines.storage.settings import accepted_terms
 from pipelines.storage.store import Store
+from pipelines.versions import baseline_cells, baseline_records
 
 
 @stage

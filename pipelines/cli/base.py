@@ -71,7 +71,7 @@ def print_error(message: str) -> None:
 
 def landing_folder(path: Path | None) -> Path:
     """Return the landing zone; stop with a line on what is wrong with it."""
-    from pipelines.zone import find_landing_fault
+    from pipelines.orchestration.around_night import find_landing_fault
 
     landing = _required(path, "--landing", "HDT_LANDING")
     if fault := find_landing_fault(landing):

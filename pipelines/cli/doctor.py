@@ -22,6 +22,7 @@ from pipelines.intake.readers import TYPES, readers
 from pipelines.intake.refusals import ignored_entries, silent_columns, silent_lines
 from pipelines.intake.snapshots import read_snapshots
 from pipelines.lineage import FLIGHT_FILES
+from pipelines.orchestration.around_night import find_landing_fault
 from pipelines.report.tasks import NAME as NAME_OF_TASKS
 from pipelines.report.tasks import read_tasks
 from pipelines.storage import history
@@ -34,7 +35,6 @@ from pipelines.storage.publication import views
 from pipelines.storage.seal import CYCLE, NAME, changed_files, name_files, read_seal
 from pipelines.storage.settings import notify_file
 from pipelines.storage.store import Store
-from pipelines.zone import find_landing_fault
 
 _NEEDED_GB = 1.0
 FILES_A_FOLDER = 3

@@ -185,9 +185,9 @@ def propose_terms(home: Path, dsm: "Dsm") -> pl.DataFrame:
     from hdt_core.calibration.calibrate import baseline_samples
     from hdt_core.calibration.flight_estimates import estimate_flights
     from hdt_core.calibration.missing_physics import propose
-    from pipelines.baseline import baseline_cells
     from pipelines.storage.ledger import Ledger
     from pipelines.storage.store import Store
+    from pipelines.versions import baseline_cells
 
     flights = baseline_cells(Ledger(home))["flight_id"]
     samples = Store(home).scan("legs_samples").filter(pl.col("flight_id").is_in(flights.implode())).collect()

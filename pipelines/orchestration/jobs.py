@@ -7,11 +7,10 @@ from pathlib import Path
 import dagster as dg
 
 from pipelines.intake.scan import list_new_files
-from pipelines.orchestration.around_night import lock_home
+from pipelines.orchestration.around_night import find_landing_fault, lock_home
 from pipelines.orchestration.nightly import complete_night
 from pipelines.resources import Home
 from pipelines.versions import digest
-from pipelines.zone import find_landing_fault
 
 QUIET_S = 120
 """Time without a write after which a file counts as delivered. [s]"""

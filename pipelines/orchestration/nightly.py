@@ -222,14 +222,14 @@ class _Chain:
         self.executor.prepare(equivalent_flights(n_new, n_past))
 
     def step(self, step: Step) -> None:
-        """Update a step's stages; one that is not stale runs only if a stage before it does."""
+        """Update a step's stale stages and those that follow from them."""
         # a new model of the fleet makes every cell stale
         only_changed = self.settled_version == recipe_version(self.ledger, STAGES)
-        cells = [self._stale_cells(stage, only_changed) for stage in step.stages]
-        first = next((i for i, c in enumerate(cells) if c.height), None)
-        if first is None:
+        cells = {stage.name: self._stale_cells(stage, only_changed) for stage in step.stages}
+        tables = step.tables([name for name, stale in cells.items() if stale.height])
+        if not tables:
             return
-        stale_cells, tables = pl.concat(cells).unique(), [t for stage in step.stages[first:] for t in stage.tables]
+        stale_cells = pl.concat(cells.values()).unique()
         if step.grain != "fleet":
             self.runner.register(stale_cells)
         if step.grain == "flight":

@@ -3,10 +3,10 @@
 A run has one kind of partition, so the chain takes several.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
-from pipelines.lineage import Stage
+from pipelines.lineage import UPSTREAM, Stage
 
 
 class Step(NamedTuple):
@@ -29,12 +29,20 @@ class Step(NamedTuple):
         """Flights that the run may take, as a multiple of those of a run that reads files."""
         return min(stage.size for stage in self.stages)
 
+    def tables(self, stale: Collection[str]) -> list[str]:
+        """List the tables of the `stale` stages, by name, and of those that follow from them."""
+        tables = list[str]()
+        for stage in self.stages:
+            if stage.name in stale or not UPSTREAM[stage.name].isdisjoint(tables):
+                tables += stage.tables
+        return tables
+
 
 def steps(stages: Iterable[Stage]) -> list[Step]:
     """Group stages into few runs in which every stage comes after its parents.
 
-    From the end backwards: among the stages without remaining children, pick the last declared, with all of its grain
-    and road, so that each stage runs as late as it can.
+    From the end backwards: among the stages without remaining children, pick the last declared, with all of its grain,
+    so that each stage runs as late as it can.
 
     Raises
     ------
@@ -44,18 +52,13 @@ def steps(stages: Iterable[Stage]) -> list[Step]:
     remaining, ordered_steps = list(stages), list[Step]()
     while remaining:
         last = list[Stage]()
-        while leaves := [s for s in _leaf_stages(remaining) if not last or _kind(s) == _kind(last[0])]:
+        while leaves := [s for s in _leaf_stages(remaining) if not last or s.grain == last[0].grain]:
             remaining.remove(leaves[-1])
             last.insert(0, leaves[-1])
         if not last:
             raise ValueError(f"stages form a cycle: {', '.join(s.name for s in remaining)}")
         ordered_steps.insert(0, Step(tuple(last)))
     return ordered_steps
-
-
-def _kind(stage: Stage) -> tuple[str, str]:
-    """Return what all stages of a run share."""
-    return stage.grain, stage.road
 
 
 def _leaf_stages(stages: Sequence[Stage]) -> list[Stage]:

@@ -4,7 +4,7 @@ from itertools import permutations
 
 import pytest
 
-from pipelines.lineage import COMPONENT, PACK, STAGES, Stage, same_recipe
+from pipelines.lineage import STAGE, STAGES, Stage, same_recipe
 from pipelines.orchestration.order import steps
 
 
@@ -21,14 +21,21 @@ def test_every_stage_is_made_once_and_after_what_it_needs():
 
 def test_a_night_takes_seven_runs():
     """Fleet, aircraft and flights are taken in; the model; flights, aircraft and fleet are followed with it."""
-    packs = [step for step in steps(STAGES) if step.stages[0].road == PACK]
-    assert [s.grain for s in packs] == ["fleet", "aircraft", "flight", "fleet", "flight", "aircraft", "fleet"]
+    assert [s.grain for s in steps(STAGES)] == ["fleet", "aircraft", "flight", "fleet", "flight", "aircraft", "fleet"]
 
 
-def test_declared_components_take_one_run_of_their_own():
-    (own,) = [step for step in steps(STAGES) if step.stages[0].road == COMPONENT]
-    assert own.grain == "aircraft"
-    assert {stage.group for stage in own.stages} == {"raw", "calibration", "twin", "features"}
+@pytest.mark.parametrize(
+    ("stale", "made"),
+    [
+        ("raw_components", {"raw_components", "calibration_components", "twin_components", "features_components"}),
+        ("twin_health", {"twin_health", "legs_admitted", "features", "features_alerts"}),
+        ("features_alerts", {"features_alerts"}),
+    ],
+)
+def test_of_a_run_only_stages_are_made_that_follow_from_a_stale_one(stale, made):
+    (step,) = [step for step in steps(STAGES) if STAGE[stale] in step.stages]
+    assert step.tables([stale]) == [t for stage in step.stages if stage.name in made for t in stage.tables]
+    assert step.tables([]) == []
 
 
 def test_every_run_has_a_name():

@@ -3,10 +3,10 @@
 import pytest
 from typer.testing import CliRunner
 
-from pipelines.baseline import baseline_inputs
 from pipelines.cli import app
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import accept_terms, accepted_terms, terms_file
+from pipelines.versions import baseline_inputs
 
 
 def test_what_is_accepted_makes_the_model_stale(tmp_path):
