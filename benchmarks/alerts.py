@@ -180,7 +180,6 @@ def figures_of(scores: Tally, component: str) -> dict[str, float]:
         "lead or delay, median": float(np.median(lead)) if lead.size else np.nan,
         "alerts": own.height,
         "in 1,000 flights": own.height * per,
-        "a failure": own.height / failures.height if failures.height else np.nan,
         "right within 200": _mean(own["right"]),
         "message within 200": _mean(own["by_message"]) if component in WORN else np.nan,
         "without own cause in 1,000": float((~own["own"]).sum()) * per,

@@ -41,6 +41,7 @@ from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "constants.md"
+UNMOVED = "No figure moved beyond these limits for "
 LEDGER = Path(__file__).with_name("constants.toml")
 FACTORS = (0.5, 2.0)
 WAYS = ("halved", "doubled")
@@ -173,10 +174,10 @@ def _read_results(results: Path) -> Iterator[dict[str, Any]]:
 
 
 def table(results: Path) -> str:
-    """The ledger, a line a constant: its source, and behind the arrow what a change moved by more than `MOVES`."""
+    """The ledger: a line for each constant that moved a figure by more than `MOVES`, and the names of the others."""
     rows = {(r["fleet"], r["at"], r["factor"]): r["figures"] for r in _read_results(results)}
     fleets = sorted({fleet for fleet, _, _ in rows})
-    lines, stood = [], standing_cells()
+    lines, unmoved, stood = [], [], standing_cells()
     for constant in ledger():
         at = f"{constant.module}:{constant.path}"
         name = f"`{at.removeprefix('hdt_core.')}`"
@@ -191,14 +192,20 @@ def table(results: Path) -> str:
             for k, w in zip(FACTORS, WAYS, strict=True)
         }
         effects = "; ".join(f"{way}: {cell}" for way, cell in cells.items() if cell != "-")
-        lines.append(f"- {name}: {constant.source}" + f" -> {effects}" * bool(effects))
-    return "\n".join(lines)
+        if effects:
+            lines.append(f"- {name}: {constant.source} -> {effects}")
+        else:
+            unmoved.append(name)
+    return "\n".join([*lines, *([f"\n{UNMOVED}{', '.join(unmoved)}."] if unmoved else [])])
 
 
 def standing_cells() -> dict[str, dict[str, str]]:
-    """Read the effects listed on the page, by constant and change."""
-    lines = [line.removeprefix("- ").partition(" -> ") for line in PAGE.read_text().splitlines() if line[:3] == "- `"]
-    return {left.partition(": ")[0]: dict(re.findall(r"(\w+ \w+): ([^;]+)", effects)) for left, _, effects in lines}
+    """Read the effects listed on the page, by constant and change; none for those that moved nothing."""
+    lines = PAGE.read_text().splitlines()
+    moved = [line.removeprefix("- ").partition(" -> ") for line in lines if line[:3] == "- `"]
+    names = re.findall("`[^`]+`", " ".join(line for line in lines if line.startswith(UNMOVED)))
+    cells = {left.partition(": ")[0]: dict(re.findall(r"(\w+ \w+): ([^;]+)", effects)) for left, _, effects in moved}
+    return {name: {} for name in names} | cells
 
 
 def _format_changes(now: dict[str, Any], before: dict[str, float]) -> str:

@@ -63,6 +63,14 @@ def row(method: str, amplitude: float, cubic_n_m3: float, seeds: int) -> list[st
     ]
 
 
+def merge_equal(rows: list[list[str]]) -> list[list[str]]:
+    """One row for methods that give the same figures in the same case."""
+    methods: dict[tuple[str, ...], list[str]] = {}
+    for case, method, *figures in rows:
+        methods.setdefault((case, *figures), []).append(method)
+    return [[case, ", ".join(names), *figures] for (case, *figures), names in methods.items()]
+
+
 def _parameter(estimates: list[Estimate], i: int) -> str:
     return f"{np.mean([e.belief.mean[i] for e in estimates]):.3f} ± {np.mean([e.belief.sd[i] for e in estimates]):.3f}"
 
@@ -81,7 +89,7 @@ def main() -> None:
     head = ["drive, cubic stiffness", "method", "damping", "stiffness", "damping: coverage, worst [sd]",
             "stiffness: coverage, worst [sd]", "`converged`", "`lack_of_fit`", "force named"]  # fmt: skip
     rows = [row(method, *case, options.seeds) for case in CASES for method in METHODS]
-    show("missing force", markdown([head, *rows]), write=options.write)
+    show("missing force", markdown([head, *merge_equal(rows)]), write=options.write)
 
 
 if __name__ == "__main__":
