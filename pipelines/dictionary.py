@@ -9,13 +9,11 @@ import tempfile
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 from hdt_core.tables import TABLES, hindsight
 from hdt_core.tables.hindsight import DESIGN, REVISIONS
-from pipelines.lineage import MAKER
 from pipelines.storage.catalog import connect
-from pipelines.storage.headers import describe_column, find_meaning, read_header
+from pipelines.storage.headers import find_meaning, read_header
 from pipelines.storage.publication import order_views, publish, views
 
 _TITLE = """# Data dictionary
@@ -25,10 +23,9 @@ the headers of the views (`sql/views`); change those, not this page. Times are U
 value is NULL, never NaN. Start with the six views that `select * from start_here` names. Each column is explained
 where it first occurs; later sections name it under "As above". Columns that differ by a number or by the column they
 describe (`*`) share a line. `x_sd` is the standard deviation of `x`, `x_status` how its estimate ended; both are
-listed only where there is more to say. A column without a type is a `double`. In tables, `?` behind a type says that
-it may be NULL, `0..1` its least and greatest value. Every meaning is a comment in the catalog, too: that is where
-columns of tables that the chain makes, and of components of your own, are explained (`select column_name, comment
-from duckdb_columns() where table_name = 'twin_flights'`).
+listed only where there is more to say. A column without a type is a `double`. Every meaning is a comment in the
+catalog, too: that is where columns of tables, and of components of your own, are explained (`select column_name,
+comment from duckdb_columns() where table_name = 'twin_flights'`).
 """
 _KEYS = ("operator", "tail", "flight_id", "pack", "component", "departed_at", "departed_on")
 """Columns of the view `prognoses` that most views and tables have: explained once, on top."""
@@ -48,7 +45,7 @@ def dictionary() -> str:
         "## Views\n",
         *_views(sections),
         "## Tables\n",
-        *_tables(sections),
+        _tables(),
         "## What a later night may change\n",
         *_revisions(),
     ]
@@ -80,18 +77,9 @@ def _views(sections: dict[str, set[tuple[str, str]]]) -> list[str]:
     return parts
 
 
-def _tables(sections: dict[str, set[tuple[str, str]]]) -> list[str]:
-    """Explain what comes in, column by column; of what the chain makes of it only what a row is."""
-    parts = []
-    for name, entry in TABLES.items():
-        parts.append(f"### tables.{name}\n\n{(entry.schema.__doc__ or '').strip()}\n")
-        rows = [
-            (column, f"{_type(str(c.dtype))}{'?' * c.nullable} {_span(c)}".strip(), describe_column(c))
-            for column, c in entry.schema.columns().items()
-            if column not in _KEYS and MAKER[name].group == "raw"
-        ]
-        parts += [_columns(f"tables.{name}", rows, sections)] if rows else []
-    return parts
+def _tables() -> str:
+    """Say what a row of each table is."""
+    return "".join(f"- `tables.{name}`: {(t.schema.__doc__ or '').strip()}\n" for name, t in TABLES.items())
 
 
 def _columns(section: str, rows: Sequence[tuple[str, str, str]], sections: dict[str, set[tuple[str, str]]]) -> str:
@@ -138,16 +126,6 @@ def _revisions() -> list[str]:
     """List what later nights may change."""
     rows = [(", ".join(f"`{t}`" for t in r.tables), ", ".join(f"`{n}`" for n in r.names), r.why) for r in REVISIONS]
     return [f"{hindsight.__doc__}\n{DESIGN}\n", _table(("table or view", "column or parameter", "why"), rows)]
-
-
-def _span(column: Any) -> str:
-    """Return least and greatest value, or the pattern of a text."""
-    low, high, pattern = (getattr(column, name, None) for name in ("min", "max", "regex"))
-    if pattern:
-        return f"`{pattern}`"
-    if low is None and high is None:
-        return ""
-    return f"{'' if low is None else f'{low:g}'}..{'' if high is None else f'{high:g}'}"
 
 
 def _table(names: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
