@@ -1,16 +1,16 @@
-"""Upper bound of a night's gain from an accelerator: `python -m benchmarks.accelerator [S|M|L] [--write]`.
+"""Upper bound of a night's gain from an accelerator: `python -m benchmarks.accelerator [S|M|L]`.
 
 One first night in one process, Dagster and all; processor seconds of what could go to a device because it works on all
-flights at once as arrays, and Amdahl's bound on the whole if it took no time there. `--write` puts the table into
-docs/scale.md.
+flights at once as arrays, and Amdahl's bound on the whole if it took no time there.
 """
 
+import argparse
 import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.harness import arguments, count_time, machine, markdown, show
-from benchmarks.scale import PAGE, SIZES, night
+from benchmarks.harness import count_time, machine, markdown
+from benchmarks.scale import SIZES, night
 from hdt_core.calibration import exchanger
 from pipelines.assets import calibration, twin
 from pipelines.intake.simulated import write_fleet
@@ -35,7 +35,7 @@ def table(size: str, whole_s: float, spent: dict[str, list[float]]) -> str:
 
 
 def main() -> None:
-    parser = arguments(__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("size", nargs="?", default="M", choices=SIZES)
     options = parser.parse_args()
     spent = {part: [0.0, 0.0] for part in PARTS}
@@ -45,8 +45,7 @@ def main() -> None:
         list(write_fleet(Path(scratch), 11, SIZES[options.size]))
         began = time.process_time()
         night(Path(scratch, "landing"), Path(scratch, "home"), shared=False)
-        text = table(options.size, time.process_time() - began, spent)
-    show("accelerator", text, PAGE, write=options.write)
+        print(table(options.size, time.process_time() - began, spent))
 
 
 if __name__ == "__main__":

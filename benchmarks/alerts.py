@@ -213,19 +213,19 @@ def by_component(scores: Tally) -> str:
 
 def curves(fleets: list[Frames]) -> str:
     """Precision and recall of a component's alerts with one limit of its rules moved; the limit in service in bold."""
-    lines = [["diagnosis", "limit", "at", "right within 200", "alerted", "in 1,000 flights"]]
+    lines = [["diagnosis", "limit at", "right within 200", "alerted", "in 1,000 flights"]]
     for settings in zip(*map(_at_limits, fleets), strict=True):
-        diagnosis, limit, value, in_service, _ = settings[0]
+        diagnosis, value, in_service, _ = settings[0]
         figures = figures_of(together([scores for *_, scores in settings]), GROUP[diagnosis])
         at = f"**{value}**" if in_service else f"{value}"
         names = ("right within 200", "alerted", "in 1,000 flights")
-        lines.append([diagnosis, limit, at, *(_cell(figures[name]) for name in names)])
+        lines.append([diagnosis, at, *(_cell(figures[name]) for name in names)])
     return markdown(lines)
 
 
-def _at_limits(fleet: Frames) -> Iterator[tuple[str, str, float, bool, Tally]]:
+def _at_limits(fleet: Frames) -> Iterator[tuple[str, float, bool, Tally]]:
     for trial in trials(fleet["features"], pl.DataFrame(), fleet["maintenance"]):
-        yield trial.diagnosis, trial.limit, trial.value, trial.in_service, tally(fleet, trial.alerts)
+        yield trial.diagnosis, trial.value, trial.in_service, tally(fleet, trial.alerts)
 
 
 def _cell(value: float) -> str:

@@ -1,12 +1,12 @@
 """Transfer between types: the message of one type predicted by models of others, `python -m benchmarks.held_out`.
 
-    python -m benchmarks.held_out --fleet NAME HOME TRUTH [--fleet ...] [--own N] [--write]
+    python -m benchmarks.held_out --fleet NAME HOME TRUTH [--fleet ...] [--write]
 
 Claim: the margin carries from type to type and the loss alone does not. One learner, taught by one fleet with its truth
 and asked about another type, with four kinds of input: the loss and its trends; the margin, what flights asked and what
 was seen with the door full open; both; both with the true loss in place of the estimate. Beside them the product, whose
-base saw neither: simulated lives, and what the asked fleet's other tails taught. `--own` takes so many fleets of our
-simulator as one more teacher. `--write` puts the table into docs/prognosis.md.
+base saw neither: simulated lives, and what the asked fleet's other tails taught. `--write` puts the table into
+docs/prognosis.md.
 """
 
 from dataclasses import replace
@@ -16,10 +16,9 @@ import numpy as np
 import polars as pl
 
 from benchmarks import chain, samples
-from benchmarks.contestants import Cases, Learner, rows_of, together
-from benchmarks.fleets import flown
+from benchmarks.contestants import Cases, Learner, rows_of
 from benchmarks.harness import arguments, markdown, show
-from benchmarks.prognosis import PAGE, SIZE, TAUGHT
+from benchmarks.prognosis import PAGE
 from benchmarks.survival import censored_scores
 from hdt_core.prognosis.history import FEATURES, WEAR
 from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
@@ -48,14 +47,13 @@ def line(scored_on: str, taught: str, inputs: str, scored: pl.DataFrame) -> list
     return [scored_on, taught, inputs, *(f"{scores.get(name, np.nan):.3g}" for name in SCORES)]
 
 
-def table(fleets: dict[str, chain.Tables], own: list[chain.Tables]) -> str:
+def table(fleets: dict[str, chain.Tables]) -> str:
     """Score every training fleet on every other fleet."""
     rows = {name: by_input(rows_of(tables)) for name, tables in fleets.items()}
-    teachers = rows | ({"own designs": by_input(together([rows_of(tables) for tables in own]))} if own else {})
     lines = [["asked", "taught by", "inputs", "AUC, 50", "Brier skill, 50", "C-index", "Brier skill, 100"]]
     lines[0] += ["interval skill", "coverage", "error [flights]"]
     for name, tables in fleets.items():
-        for taught, teacher in teachers.items():
+        for taught, teacher in rows.items():
             for inputs in INPUTS if taught != name else ():
                 forecasts = Learner.fit(teacher, inputs).predict(rows[name], inputs)
                 lines.append(line(name, taught, inputs, forecasts.filter(pl.col("remaining") >= 1)))
@@ -68,11 +66,9 @@ def table(fleets: dict[str, chain.Tables], own: list[chain.Tables]) -> str:
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--fleet", nargs=3, action="append", required=True, metavar=("NAME", "HOME", "TRUTH"))
-    parser.add_argument("--own", type=int, default=4)
     options = parser.parse_args()
     fleets = {name: read(Path(home), Path(folder)) for name, home, folder in options.fleet}
-    text = table(fleets, list(flown(TAUGHT, options.own, SIZE)) if options.own else [])
-    show("held out", text, PAGE, write=options.write)
+    show("held out", table(fleets), PAGE, write=options.write)
 
 
 if __name__ == "__main__":

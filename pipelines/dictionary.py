@@ -23,8 +23,9 @@ the headers of the views (`sql/views`); change those, not this page. Times are U
 value is NULL, never NaN. Start with the six views that `select * from start_here` names. Each column is explained
 where it first occurs; later sections name it under "As above". Columns that differ by a number or by the column they
 describe (`*`) share a line. `x_sd` is the standard deviation of `x`, `x_status` how its estimate ended; both are
-listed only where there is more to say. A column without a type is a `double`. Every meaning is a comment in the
-catalog, too: that is where columns of tables, and of components of your own, are explained (`select column_name,
+listed only where there is more to say. A column without a type is a `double`; a `bigint` where its name begins with
+`n_`, a `timestamptz` where it ends in `_at`, a `date` in `_on`, a `varchar` in `_id` or `status`. Every meaning is a
+comment in the catalog, too, where columns of tables and of components of your own are explained (`select column_name,
 comment from duckdb_columns() where table_name = 'twin_flights'`).
 """
 _KEYS = ("operator", "tail", "flight_id", "pack", "component", "departed_at", "departed_on")
@@ -32,7 +33,9 @@ _KEYS = ("operator", "tail", "flight_id", "pack", "component", "departed_at", "d
 _DESCRIBES = re.compile(r"^.*(?=_(?:lost_share|still)$)")
 _SIDES = re.compile(r"(?:dsm|sensor)_minus_(?:dsm|twin)")
 _BY_NAME = re.compile(r"(standard deviation of it|its standard deviation|how that estimate ended)( \[.*\])?$")
-_TYPES = {"timestamp with time zone": "timestamptz", "datetime(time_unit='us', time_zone='utc')": "timestamptz"}
+_TYPES = {"timestamp with time zone": "timestamptz"}
+_IMPLIED = (("bigint", "^n_"), ("timestamptz", "_at$"), ("date", "_on$"), ("varchar", "status$|_id$"))
+"""Types that a name implies, and the names."""
 
 
 def dictionary() -> str:
@@ -78,8 +81,11 @@ def _views(sections: dict[str, set[tuple[str, str]]]) -> list[str]:
 
 
 def _tables() -> str:
-    """Say what a row of each table is."""
-    return "".join(f"- `tables.{name}`: {(t.schema.__doc__ or '').strip()}\n" for name, t in TABLES.items())
+    """Say what a row of each table is, a line for tables that share it."""
+    names: dict[str, list[str]] = {}
+    for name, entry in TABLES.items():
+        names.setdefault((entry.schema.__doc__ or "").strip(), []).append(f"`tables.{name}`")
+    return "".join(f"- {', '.join(tables)}: {meaning}\n" for meaning, tables in names.items())
 
 
 def _columns(section: str, rows: Sequence[tuple[str, str, str]], sections: dict[str, set[tuple[str, str]]]) -> str:
@@ -90,7 +96,7 @@ def _columns(section: str, rows: Sequence[tuple[str, str, str]], sections: dict[
     new_rows = [row for row in rows if (row[0], row[2]) not in columns_above and not _BY_NAME.match(row[2])]
     families = [list(group) for _, group in groupby(new_rows, key=_family)]
     lines = [
-        f"- {', '.join(f'`{name}`' for name, _, _ in group)}{f' ({_type(group[0][1])})'.replace(' (double)', '')}: "
+        f"- {_names(group)}{_stated_type(*group[0][:2])}: "
         + (group[0][2] if len(group) == 1 else _generalise(*group[0][::2])[1]).removesuffix(" [-]")
         for group in families
     ]
@@ -99,6 +105,13 @@ def _columns(section: str, rows: Sequence[tuple[str, str, str]], sections: dict[
     names += [f"`{name}`" for name, _, meaning in rows if (name, meaning) in by_name]
     sections[section] = present
     return "\n".join([*lines, *([f"- As above: {', '.join(names)}"] if names else [])]) + "\n"
+
+
+def _names(group: Sequence[tuple[str, str, str]]) -> str:
+    """Name the columns of a family; those that describe each recorded signal by their ending."""
+    names = [name for name, _, _ in group]
+    stems = {_DESCRIBES.sub("*", name) for name in names}
+    return ", ".join(f"`{name}`" for name in (stems if len(stems) == 1 else names))
 
 
 def _family(row: tuple[str, str, str]) -> tuple[str, ...]:
@@ -118,8 +131,10 @@ def _generalise(name: str, meaning: str) -> tuple[str, str]:
     return _SIDES.sub("*", name), re.sub(r": \w+ less \w+", ": what the names say", meaning)
 
 
-def _type(kind: str) -> str:
-    return _TYPES.get(kind.lower(), kind.lower())
+def _stated_type(name: str, kind: str) -> str:
+    """Return the type in brackets where the name does not imply it."""
+    kind = _TYPES.get(kind, kind)
+    return "" if kind == next((k for k, pattern in _IMPLIED if re.search(pattern, name)), "double") else f" ({kind})"
 
 
 def _revisions() -> list[str]:

@@ -1,15 +1,14 @@
-"""A component by declaration alone: known truth through the shared path, and a real cooler by the how-to's own code."""
+"""A component by declaration alone: known truth through the shared path, and a real cooler with recorded settings."""
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
 from by_hand import log
-from pages import walk
+from cooler_rig import FAULTS, follow_rig
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
@@ -24,7 +23,6 @@ from hdt_core.tracking.sequential import flight_by_flight
 BUILT = HEAT_EXCHANGER.calibrated({"hx_ua_reference_w_k": 1700.0})
 LOSS = np.repeat([0.0, 0.1, 0.25, 0.4], 30)
 SAMPLES = 12
-FAULTS = ("valve_pct", "pump_leakage", "accumulator_bar")
 
 
 def flown(noise_k: float) -> pl.DataFrame:
@@ -182,13 +180,8 @@ def test_one_stray_flight_moves_little_and_a_step_is_followed_from_its_second_fl
 
 @pytest.fixture(scope="module")
 def rig() -> dict[str, Any]:
-    """Names that the how-to leaves, its printed numbers checked on the way."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.chdir(Path(__file__).parents[3])
-        names = walk("hydraulic-cooler.md")
-    run = pl.struct("cooler_pct", *FAULTS).rle_id()
-    cycles = names["cycles"].sort("cycle").with_columns(run=run)
-    return names | {"cycles": cycles, "settled": cycles.filter(pl.col("unstable") == 0)}
+    """Tables of the rig."""
+    return follow_rig()
 
 
 def accuracy_pct(rows: pl.DataFrame) -> float:
@@ -201,17 +194,24 @@ def accuracy_pct(rows: pl.DataFrame) -> float:
 def test_every_cycle_of_the_rig_has_an_answer(rig):
     assert rig["flights"].height == 2205
     assert set(rig["flights"]["status"]) == {"converged"}
-    assert rig["found"].status == "converged"
+    assert rig["fit"].status == "converged"
+
+
+def test_nominal_cycles_are_those_of_the_rules_less_outliers(rig):
+    assert (rig["cycles"]["steady"].sum(), rig["ruled"].height, rig["nominal"].height) == (2165, 489, 487)
 
 
 def test_conductance_is_what_the_owners_of_the_rig_set(rig):
     """Near 174, 83 and 54 W/K, from four channels by hand; within a tenth, and in order."""
     ua = dict(rig["settled"].group_by("cooler_pct").agg(pl.col("ua_w_k").median()).rows())
     assert ua == pytest.approx({100: 174.0, 20: 83.0, 3: 54.0}, rel=0.1)
+    assert ua == pytest.approx({100: 173.8, 20: 84.2, 3: 51.1}, abs=0.05)
+    assert rig["dsm"].nominal["hc_ua_w_k"] == pytest.approx(174.0, abs=0.05)
+    loss = dict(rig["settled"].group_by("cooler_pct").agg(pl.col("hc_fouling").median()).rows())
+    assert loss == pytest.approx({100: 0.001, 20: 0.516, 3: 0.706}, abs=5e-4)
 
 
 def test_the_cooler_setting_follows_from_conductance_alone(rig):
-    """The page's figures."""
     assert rig["cycles"].height == 2205
     assert rig["settled"].height == 1449
     assert accuracy_pct(rig["cycles"]) == pytest.approx(99.77, abs=0.005)
@@ -219,7 +219,7 @@ def test_the_cooler_setting_follows_from_conductance_alone(rig):
 
 
 def test_other_faults_hardly_move_it(rig):
-    """In per cent of the setting's median, as the page has them: on average over the settings, from the last three
+    """In per cent of the setting's median: on average over the settings, from the last three
     cycles before a change of valve, pump or accumulator to the first three after it, in points of the conductance as
     built, and of a level's median by setting."""
     middle = pl.col("ua_w_k").median().over("cooler_pct")
@@ -255,12 +255,16 @@ def test_the_twin_explains_the_rig(rig):
     left = rig["residuals"].filter(pl.col("kind") == "sensor_minus_twin")
     assert left["rms"].median() < 0.1
     assert left["rms"].quantile(0.95) < 0.2
+    rms = dict(rig["residuals"].group_by("kind").agg(pl.col("rms").median()).rows())
+    assert rms == pytest.approx({"sensor_minus_dsm": 5.15, "dsm_minus_twin": 5.15, "sensor_minus_twin": 0.06}, abs=5e-3)
 
 
 def test_features_see_the_two_repairs_and_nothing_else(rig):
     """The rig's cooler was opened twice, before cycles 732 and 1464, and its loss settles within five cycles of the
     start: a median of three cycles shows it from the second or third on, and the twelve before hold it up that long."""
-    since = [cycle - max(opened for opened in (0, 732, 1464) if opened <= cycle) for cycle in rig["stepped"]]
+    stepped = rig["described"].sort("cycle").filter(pl.col("hc_fouling_step_3").abs() > 0.1)["cycle"].to_list()
+    assert stepped == [6, 7, 8, *range(735, 742), *range(1466, 1475)]
+    since = [cycle - max(opened for opened in (0, 732, 1464) if opened <= cycle) for cycle in stepped]
     assert max(since) < 15
     assert since.count(3) == 2
     by_cycle = rig["described"].sort("cycle")
