@@ -1,7 +1,6 @@
 -- How often was each kind of alert right so far?
--- An alert is judged where its outcome shows that it was right or wrong: confirmed by work or by the aircraft's own
--- message, or closed without either. An alert that is open, or whose unit was replaced without a finding, is not
--- judged.
+-- An alert is judged where work or the aircraft's own message confirmed it, or where it closed without either; not
+-- while it is open, nor where its unit was replaced without a finding.
 -- n_alerts: alerts raised
 -- n_judged: of them judged
 -- n_right: of these confirmed by a finding or by the aircraft's message

@@ -1,9 +1,8 @@
 -- How does each alert's case stand: who has it in hand, until when is it muted, what was found?
--- As of the last night; `hdt case list` and `hdt serve` ask the same of all that was said since.
--- state: closed (the alert is); answered (an engineer found it clean or had the part changed: the next night closes
--- it); confirmed (found, but not mended yet); muted; worsened (was muted, and is worse by a class of severity, by 0.05
--- of loss or by 0.2 of the chance of an event within 50 flights); acknowledged (someone has said that it is seen, or
--- has it in hand); new
+-- As of the last night; `hdt case list` and `hdt serve` show entries since then, too.
+-- state: closed; answered (found clean or renewed: the next night closes it); confirmed (a fault, not mended yet);
+-- muted; worsened (muted, but a class of severity, 0.05 of loss or 0.2 of the chance of an event within 50 flights
+-- worse); acknowledged; new
 -- owner: to whom it was assigned last
 -- acknowledged_by: who acknowledged it first
 -- muted_until: until when it is muted, where it was not taken back

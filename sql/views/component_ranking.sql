@@ -1,7 +1,7 @@
 -- Which units of declared components are most in need of attention tonight?
--- urgency: act (an alert is open that says so, or unit_urgencies does: a message before the next chance to act is more
--- likely than not), plan (an alert is open, or that chance is one in ten), none, unknown (nothing was seen of the
--- unit beyond the prior: loss and prognosis are null).
+-- urgency: act (a message before the next chance to act is more likely than not, or an alert demands it, by
+-- unit_urgencies), plan (an alert is open, or that chance is one in ten), none, unknown (no estimate of the unit: its
+-- columns are null)
 -- name: what the night shift calls the component
 -- lost: what it loses
 -- last_flight_id: its last flight

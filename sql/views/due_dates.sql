@@ -8,8 +8,8 @@
 -- due_high_on: day of days_left_high
 -- flights_per_day: as in flight_rates
 -- n_weeks: weeks that rate rests on
--- status: ok; contradicted (the part was found clean since); beyond_horizon (more flights are left than the prognosis
--- looks ahead: days_left is the least it can be); no_rate (how often it flies is not known); not_known (no prognosis)
+-- status: ok; contradicted (the part was found clean since); beyond_horizon (of 300 flights: days_left is a lower
+-- bound); no_rate (flights a day unknown); not_known (no prognosis)
 -- Grain: operator, tail, pack, component. Reads: last_prognoses, flight_rates.
 create or replace view due_dates as
 with dated as (

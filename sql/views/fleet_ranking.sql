@@ -1,9 +1,8 @@
 -- Which packs are most in need of attention tonight?
--- urgency: act (an alert is open that says so, or unit_urgencies does: a message before the next chance to act is more
--- likely than not), plan (an alert is open, or that chance is one in ten), none, unknown (nothing was seen of the
--- exchanger beyond the prior: its columns are null, as are the compressor's where nothing was seen of that). Of one
--- urgency the dearer expected message comes first, then the likelier, then the fewer flights left. Units of declared
--- components stand in component_ranking.
+-- Of one urgency the dearer expected message comes first, then the likelier, then the fewer flights left.
+-- urgency: act (a message before the next chance to act is more likely than not, or an alert demands it, by
+-- unit_urgencies), plan (an alert is open, or that chance is one in ten), none, unknown (no estimate of the unit: its
+-- columns are null)
 -- hx_fouling: fouling after the last flight [-]
 -- hx_fouling_sd: its standard deviation [-]
 -- diagnoses: diagnoses of the open alerts, the most urgent first

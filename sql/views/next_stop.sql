@@ -1,7 +1,6 @@
 -- Wash, replace or defer at the next stop: with what chance of a message until the next check, and at what cost?
 -- The chance of a washed or replaced unit is the median of the fleet's prognoses of such units, 5 to 25 flights after
--- the work. Costs are those of costs.toml; an expected cost is that of the work and, times the chance, of a message.
--- What a part is worth beyond the check is not in it.
+-- the work. What a part is worth beyond the check is not included.
 -- choice: wash, replace, or defer (to the check)
 -- check_name: the check it is deferred to: the next that is planned after the aircraft's last flight
 -- until_on: its day; where none is planned the end of horizon_days of the cost table
@@ -14,9 +13,8 @@
 -- expected_cost: cost and chance times the cost of a message [currency]
 -- n_units: units of the fleet that the chance after a wash or a replacement rests on
 -- place: 1 is the least expected cost of the pack's component; NULL where there is none
--- status: ok; no_check_planned (until_on is the horizon's end); beyond_horizon (the prognosis looks 300 flights ahead
--- and no further); contradicted (the part was found clean since); few_units (fewer than two such
--- units were seen); no_rate (how often the aircraft flies is not known); no_cost (the cost table has none, or is wrong)
+-- status: ok; no_check_planned (until_on is the horizon's end); beyond_horizon (of 300 flights); contradicted (the part
+-- was found clean since); few_units (fewer than two such units on record); no_rate (flights a day unknown); no_cost
 -- Grain: operator, tail, pack, component, choice. Reads: prognoses, check_chances, tables.raw_costs,
 -- tables.raw_maintenance.
 create or replace view next_stop as

@@ -1,6 +1,6 @@
 -- What did each operator's messages, removals and washes cost, and what is to be expected?
--- Events of the log and the aircraft at the figures of costs.toml; components without a figure are left out. The log
--- does not say what waited for a check, so all work has the cost of a stop; delays and spares are in no log.
+-- Events at the figures of costs.toml; components without a figure are left out. All work has the cost of a stop;
+-- delays and spares are in no log.
 -- n_flights: flights of the operator's aircraft
 -- n_messages: units whose message came; its repeats until the work count once
 -- n_removals: replacements

@@ -1,7 +1,6 @@
 -- What came of each prognosis, and did its 90 % interval hold?
--- What is said on the flight of the event or after it is left out. A life is scored where its end was seen or where it
--- outlived 300 more flights, for which 300 stands: `select component, avg(interval_held::int) from prognosis_outcomes
--- group by component`. Censored lives would bias that either way: only what is known of them is given.
+-- Prognoses on the flight of the event or after it are left out. A life is scored where its end is on record or where it
+-- outlived 300 more flights, for which 300 stands.
 -- outcome: event (a message that a replacement answered), replaced (without one), unheard (replaced, of an operator
 -- that delivers no messages), open (the unit flies)
 -- seen_flights: flights from the prognosis to that, or to the last flight [flights]

@@ -1,8 +1,7 @@
 -- What did work after an alert save, by the log and the cost table?
 -- One row a spell of removal_leads that had an alert and then work. Whether a message would have come had the unit
--- stayed is in no record: saving_at_most takes it as certain, saving_expected as likely as the prognosis before the
--- work. The work itself would have come later anyway, so its cost is not set against that; delays, spares and
--- consequential damage are in no log.
+-- stayed can't be known: saving_at_most takes it as certain, saving_expected as likely as the prognosis before the
+-- work. The cost of the work is not subtracted; delays, spares and consequential damage are in no log.
 -- outcome: message (it came before the work: nothing saved), no_message (the work came first), needless (the work came
 -- first and found no fault)
 -- p_event_50: chance of a message within 50 flights before the work: median of ten flights, the six before the log's

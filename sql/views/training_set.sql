@@ -1,13 +1,11 @@
 -- What was known of each pack on the night of each flight, and what came of it?
--- For models of your own: features are of that flight and those before it; columns that begin with label_ tell what
--- came later and are no features. Leave out or censor what has no label; hold out whole groups of one of the split
--- columns. See docs/catalog.md for how this is tested.
+-- Features are of that flight and those before it; columns that begin with label_ are of later flights and are no
+-- features. See docs/catalog.md for their use and test.
 -- split_tail: aircraft, to be held out together
 -- split_unit: heat exchanger, to be held out together; another one flies after each replacement
--- as_stated: no flight that the models were calibrated from departed later, so that night stated just this row; before,
--- features rest on a calibration that knows some weeks more
--- label_hx_flights: flights until the heat exchanger's event, 0 on the flight of the event itself; of a censored row
--- flights that it outlived without one; NULL after the event, while the unit still flies [flights]
+-- as_stated: no flight that calibrated the models departed later, so that night had just this row
+-- label_hx_flights: flights until the heat exchanger's event, 0 on its own flight; of a censored row flights without
+-- one; NULL after the event, while the unit still flies [flights]
 -- label_hx_censored: no event ended the unit's life, or none yet; NULL where label_hx_flights is
 -- label_hx_ended_by: message (the event), replaced (without a message), unheard (replaced, of an operator that delivers
 -- no messages), NULL while the unit flies
