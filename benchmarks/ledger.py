@@ -44,7 +44,7 @@ PAGE = ROOT / "docs" / "constants.md"
 UNMOVED = "No figure moved beyond these limits for "
 LEDGER = Path(__file__).with_name("constants.toml")
 FACTORS = (0.5, 2.0)
-WAYS = ("halved", "doubled")
+WAYS = ("/2", "x2")
 MOVES = {
     "alerted": 0.02, "lead": 10.0, "early": 0.7, "false": 0.7, "diagnosis": 0.03, "fouling": 0.002,
     "fouling score": 0.01, "yield": 0.02, "contamination": 0.01, "RUL score": 0.02, "coverage": 0.02, "AUC": 0.01,
@@ -183,11 +183,11 @@ def table(results: Path) -> str:
         name = f"`{at.removeprefix('hdt_core.')}`"
         standing = stood.get(name)
         cells = {
-            f"{f} {w}": _format_changes(rows[f, at, k], rows[f, "", 1.0])
+            f"{f}{w}": _format_changes(rows[f, at, k], rows[f, "", 1.0])
             if (f, at, k) in rows
             else "not run"
             if standing is None
-            else standing.get(f"{f} {w}", "-")
+            else standing.get(f"{f}{w}", "-")
             for f in fleets
             for k, w in zip(FACTORS, WAYS, strict=True)
         }
@@ -204,7 +204,9 @@ def standing_cells() -> dict[str, dict[str, str]]:
     lines = PAGE.read_text().splitlines()
     moved = [line.removeprefix("- ").partition(" -> ") for line in lines if line[:3] == "- `"]
     names = re.findall("`[^`]+`", " ".join(line for line in lines if line.startswith(UNMOVED)))
-    cells = {left.partition(": ")[0]: dict(re.findall(r"(\w+ \w+): ([^;]+)", effects)) for left, _, effects in moved}
+    cells = {
+        left.partition(": ")[0]: dict(re.findall(r"(\w+?(?:/2|x2)): ([^;]+)", effects)) for left, _, effects in moved
+    }
     return {name: {} for name in names} | cells
 
 

@@ -30,7 +30,7 @@ comment from duckdb_columns() where table_name = 'twin_flights'`).
 """
 _KEYS = ("operator", "tail", "flight_id", "pack", "component", "departed_at", "departed_on")
 """Columns of the view `prognoses` that most views and tables have: explained once, on top."""
-_DESCRIBES = re.compile(r"^.*(?=_(?:lost_share|still)$)")
+_DESCRIBES = re.compile(r"^.*(?=_(?:lost_share|still|n)$)")
 _SIDES = re.compile(r"(?:dsm|sensor)_minus_(?:dsm|twin)")
 _BY_NAME = re.compile(r"(standard deviation of it|its standard deviation|how that estimate ended)( \[.*\])?$")
 _TYPES = {"timestamp with time zone": "timestamptz"}
@@ -111,7 +111,7 @@ def _names(group: Sequence[tuple[str, str, str]]) -> str:
     """Name the columns of a family; those that describe each recorded signal by their ending."""
     names = [name for name, _, _ in group]
     stems = {_DESCRIBES.sub("*", name) for name in names}
-    return ", ".join(f"`{name}`" for name in (stems if len(stems) == 1 else names))
+    return ", ".join(f"`{name}`" for name in (stems if len(stems) == 1 < len(names) else names))
 
 
 def _family(row: tuple[str, str, str]) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """Values of stored rows that a later night may change, with the reason.
 
 Every other value of a row that names a flight or an alert is what the night of its month left, and the same whether a
-landing zone was flown night by night or taken in at once. The data dictionary prints this list; a test holds the chain
-to it. Views of the present state (rankings, open alerts, gaps) and sums over a history are not covered.
+landing zone was taken in night by night or at once; a test holds the chain to this list. Views of the present state
+(rankings, open alerts, gaps) and sums over a history are not covered.
 """
 
 from typing import NamedTuple

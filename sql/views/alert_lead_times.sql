@@ -1,7 +1,6 @@
 -- How long before the aircraft's own message was the alert raised?
--- A case is the first message of a pack's component since that component was last replaced; its alert is the first that
--- was raised after that replacement and was still open, or had been closed for three days at most, at the message.
--- Lead is null where no alert came first.
+-- A case is the first message of a pack's component since its last replacement; its alert is the first raised since then
+-- that was open at the message or within three days before. Lead is null where no alert came first.
 -- n_messages: messages of the case
 -- lead_flights: flights from the alert to the message, that of the message included
 -- lead_days: time from the alert to the message [days]

@@ -1,6 +1,6 @@
 -- Which flights never arrived, and which aircraft fell silent?
--- gap: missing_leg (a leg number of a day was skipped), silence (ten times the aircraft's usual wait, and three days,
--- between two flights), silent_now (the same, up to the fleet's last flight), never_heard (on the fleet list only).
+-- gap: missing_leg (a leg number of a day was skipped), silence (ten times the aircraft's usual wait, and three days),
+-- silent_now (the same, up to the fleet's last flight), never_heard (on the fleet list only).
 -- from_at: landing of the flight before the gap
 -- until_at: departure of the flight after it, or of the fleet's last flight
 -- after_flight_id: flight before the gap

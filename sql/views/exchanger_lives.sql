@@ -1,6 +1,6 @@
 -- Which heat exchangers were fitted, for how long, and how fast did each foul?
--- A unit's life runs from one replacement in the log to the next. The log may be some flights late, so a unit's last
--- six flights, which may be the next unit's, do not count towards its slope.
+-- A unit's life runs from one replacement in the log to the next. Its last six flights, which may be the next unit's,
+-- do not count towards its slope: the log may be late.
 -- serial: serial number of the unit, where the log gives it
 -- came_from: operator, tail and pack where a unit of this serial number flew before, NULL where it did not
 -- unit: number of the exchanger in that place, 0 for the one fitted when the record begins

@@ -1,6 +1,6 @@
 -- What do loss and margin do on each route, and in which air?
--- Routes are those of operators that give origin and destination; of others only the air is given. Compare bins of
--- one route, or routes within one bin: hot air takes margin from a sound exchanger, too.
+-- Without origin and destination only the air is given. Compare bins of one route, or routes within one bin: hot air
+-- takes margin from a sound exchanger, too.
 -- ambient_k: lower end of a bin of 10 K of the total air temperature in cruise; NULL where that is not known [K]
 -- n_packs: packs that flew it
 -- n_flights: flights of packs, each pack counted

@@ -1,6 +1,5 @@
 -- How urgent is each unit by its last prognosis: how likely is its message before the next chance to act, at what cost?
--- The next chance to act is the next planned check, else the end of the cost table's horizon (30 days); where it is not
--- known how often the aircraft flies, or the points lack, the next 50 flights.
+-- The next chance to act is that of check_chances; without a flight rate or points, the next 50 flights.
 -- chance: of a message by then; the least it can be where the prognosis does not look so far [-]
 -- message_cost: expected cost of that message; NULL without a cost table [currency]
 -- urgency: act (more likely than not, and no inspection contradicts it), plan (one in ten), none
