@@ -1,5 +1,5 @@
 -- How long before the aircraft's own message was the alert raised?
--- A case is the first message of a pack's component since its last replacement; its alert is the first raised since then
+-- A case is the first message of a component of a pack since its last replacement; its alert is the first since then
 -- that was open at the message or within three days before. Lead is null where no alert came first.
 -- n_messages: messages of the case
 -- lead_flights: flights from the alert to the message, that of the message included

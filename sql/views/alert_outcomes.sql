@@ -1,6 +1,6 @@
 -- What came of each alert?
 -- Work counts for the alert that an engineer closed with it; else for those of its pack and component that were open on
--- its day, and, if it found something, for one that an inspection had closed as clean up to 14 days before; else for the
+-- its day, and, if it found something, for one that an inspection closed as clean up to 14 days before; else for the
 -- one that closed last, up to 14 days before, unless a new part closed it. A message counts while the alert was open.
 -- outcome: open; confirmed (work on the component found something, or replaced it after a message); message (the
 -- aircraft raised its own, no work is logged yet); replaced (without a finding); no_fault_found; nothing

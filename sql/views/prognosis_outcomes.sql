@@ -1,5 +1,5 @@
 -- What came of each prognosis, and did its 90 % interval hold?
--- Prognoses on the flight of the event or after it are left out. A life is scored where its end is on record or where it
+-- Prognoses on the flight of the event or after it are left out. A life is scored where its end is on record or it
 -- outlived 300 more flights, for which 300 stands.
 -- outcome: event (a message that a replacement answered), replaced (without one), unheard (replaced, of an operator
 -- that delivers no messages), open (the unit flies)
