@@ -2,11 +2,13 @@
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 from hdt_core.errors import UserError
-from hdt_core.toml_text import parse_toml
+from pipelines.storage.objects import StoreError
+from pipelines.storage.settings import notify_file, read_values
 
 
 class NotifyError(UserError):
@@ -57,21 +59,26 @@ _SECURITY = ("starttls", "tls", "none")
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
-def read_receivers(text: str) -> list[Receiver]:
-    """Parse the receivers of a TOML text, one `[[receiver]]` each.
+def receivers_of(home: Path) -> list[Receiver]:
+    """Return the receivers that a home declares, one `[[receiver]]` each; none where it has no `notify.toml`.
 
     Raises
     ------
     NotifyError
-        It is not TOML, or a key is missing, unknown or invalid; the key and its receiver are named.
+        The file is no TOML, or a key is missing, unknown or invalid; file, receiver and key are named.
     """
+    file = notify_file(home)
     try:
-        document = parse_toml(text)
-    except ValueError as error:
+        entries = read_values(file, ("receiver",)).get("receiver", [])
+    except StoreError as error:
         raise NotifyError(str(error)) from None
-    if unknown := sorted(set(document) - {"receiver"}):
-        raise NotifyError(f"unknown key {unknown[0]}; receivers stand below [[receiver]]")
-    entries = document.get("receiver", [])
+    try:
+        return _receivers(entries)
+    except NotifyError as error:
+        raise NotifyError(f"{file}: {error}") from None
+
+
+def _receivers(entries: Any) -> list[Receiver]:
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise NotifyError("receiver is not a list; write [[receiver]] with two brackets")
     receivers = [_receiver(entry, f"receiver {n}") for n, entry in enumerate(entries, 1)]

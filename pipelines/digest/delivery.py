@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.digest.changes import compare
-from pipelines.digest.declaration import NotifyError, Receiver, read_receivers
+from pipelines.digest.declaration import NotifyError, Receiver, receivers_of
 from pipelines.digest.render import as_json
 from pipelines.digest.senders import send
 from pipelines.digest.state import EMPTY, State, read_state
@@ -18,27 +18,9 @@ from pipelines.report.tasks import read_tasks
 from pipelines.storage.catalog import connect
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.settings import notify_file
 from pipelines.versions import digest as hash_text
 
 _FOLDER, _RECORD = "notify", "sent.json"
-
-
-def receivers_of(home: Path) -> list[Receiver]:
-    """Return the receivers that a home declares; none where it has no `notify.toml`.
-
-    Raises
-    ------
-    NotifyError
-        The declaration is wrong; the line names the file.
-    """
-    file = notify_file(home)
-    if not file.exists():
-        return []
-    try:
-        return read_receivers(file.read_text(encoding="utf-8"))
-    except (NotifyError, OSError, UnicodeDecodeError) as error:
-        raise NotifyError(f"{file}: {error}") from None
 
 
 def send_digests(home: Path) -> list[str]:

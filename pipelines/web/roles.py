@@ -8,16 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hdt_core.errors import UserError
-from hdt_core.toml_text import parse_toml
+from pipelines.storage.objects import StoreError
+from pipelines.storage.settings import read_values
 
 FILE = "roles.toml"
 ROLES = ("viewer", "engineer")
 _MAX_NAME = 80
-
-
-class RolesError(UserError):
-    """A wrong `roles.toml`; one line that names the entry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +39,8 @@ def read_people(home: Path) -> dict[str, Person]:
 
     Raises
     ------
-    RolesError
-        The file is not TOML, or an entry is unknown or invalid.
+    StoreError
+        The file can't be read, or an entry is unknown or invalid; one line that names it.
     """
     return {name: _person(name, entry) for name, entry in _read_file(home)["people"].items()}
 
@@ -54,27 +50,16 @@ def local_person(home: Path) -> Person:
 
     Raises
     ------
-    RolesError
+    StoreError
         As `read_people`.
     """
     return _person(os.environ.get("USER", "").strip() or "local", _read_file(home)["local"])
 
 
 def _read_file(home: Path) -> dict[str, Any]:
-    try:
-        text = (home / FILE).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        text = ""
-    except (OSError, UnicodeDecodeError) as error:
-        raise RolesError(f"{FILE} can't be read: {error}") from None
-    try:
-        entries = {"local": "engineer", "people": {}} | parse_toml(text)
-    except ValueError as error:
-        raise RolesError(f"{FILE} is {error}") from None
-    if unknown := sorted(set(entries) - {"local", "people"}):
-        raise RolesError(f"{FILE}: unknown key {unknown[0]}; names stand below [people]")
+    entries = {"local": "engineer", "people": {}} | read_values(home / FILE, ("local", "people"))
     if not isinstance(entries["people"], dict):
-        raise RolesError(f"{FILE}: people is a table of names; write [people] on a line of its own")
+        raise StoreError(f"{FILE}: people is a table of names; write [people] on a line of its own")
     return entries
 
 
@@ -82,14 +67,14 @@ def _person(name: str, entry: Any) -> Person:
     """Check one entry: a role, or a table of `role` and `operators`."""
     where, entry = f"{FILE}: {name!r}", entry if isinstance(entry, dict) else {"role": entry}
     if not (0 < len(name) <= _MAX_NAME and name.isprintable() and name == name.strip()):
-        raise RolesError(f"{where}: a name has 1 to {_MAX_NAME} printable characters")
+        raise StoreError(f"{where}: a name has 1 to {_MAX_NAME} printable characters")
     if unknown := sorted(set(entry) - {"role", "operators"}):
-        raise RolesError(f"{where}: unknown key {unknown[0]}; there are role and operators")
+        raise StoreError(f"{where}: unknown key {unknown[0]}; there are role and operators")
     role, operators = entry.get("role"), entry.get("operators", [])
     if role not in ROLES:
-        raise RolesError(f"{where}: role is {' or '.join(ROLES)}, not {role!r}")
+        raise StoreError(f"{where}: role is {' or '.join(ROLES)}, not {role!r}")
     if not isinstance(operators, list) or not all(isinstance(o, str) for o in operators):
-        raise RolesError(f"{where}: operators is a list of texts, not {operators!r}")
+        raise StoreError(f"{where}: operators is a list of texts, not {operators!r}")
     if "operators" in entry and not operators:
-        raise RolesError(f"{where}: operators is empty; leave it out to allow all of them")
+        raise StoreError(f"{where}: operators is empty; leave it out to allow all of them")
     return Person(name, role, tuple(operators))

@@ -10,8 +10,9 @@ from pathlib import Path
 from starlette.requests import HTTPConnection
 from starlette.responses import RedirectResponse, Response
 
+from pipelines.storage.objects import StoreError
 from pipelines.web.html import html_page
-from pipelines.web.roles import Person, RolesError, read_people
+from pipelines.web.roles import Person, read_people
 
 SignIn = Callable[[HTTPConnection], Person | Response]
 """Returns the person, or the answer to a request without one."""
@@ -92,7 +93,7 @@ class ProxyHeader:
         name = _decode_name(names[0].strip())
         try:
             person = read_people(self.home).get(name)
-        except RolesError as error:
+        except StoreError as error:
             return _message_page(503, f"{error}.")
         return person or _message_page(403, f"{name} has no role here.")
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from pipelines.web.roles import FILE, Person, RolesError, local_person, read_people
+from pipelines.storage.objects import StoreError
+from pipelines.web.roles import FILE, Person, local_person, read_people
 
 
 def test_a_role_or_a_table_of_role_and_operators(tmp_path):
@@ -36,7 +37,7 @@ def test_a_viewer_changes_nothing_and_operators_bound_what_is_seen():
     ("text", "named"),
     [
         ("people = 1", "people is a table"),
-        ("[person]\nAda = 'viewer'", "unknown key person"),
+        ("[person]\nAda = 'viewer'", "no setting 'person'"),
         ("[people]\nAda = 'admin'", "'Ada': role is viewer or engineer, not 'admin'"),
         ("[people]\nAda = ['viewer']", "'Ada': role is viewer or engineer"),
         ("[people]\nAda = {role = 'viewer', operator = 'AQX'}", "'Ada': unknown key operator"),
@@ -44,14 +45,14 @@ def test_a_viewer_changes_nothing_and_operators_bound_what_is_seen():
         ("[people]\nAda = {role = 'viewer', operators = []}", "'Ada': operators is empty"),
         ("[people]\n'' = 'viewer'", "a name has 1 to 80 printable characters"),
         ("[people]\n\"A\\nB\" = 'viewer'", "a name has 1 to 80 printable characters"),
-        ("[people]\nAda = 'viewer'\nAda = 'engineer'", "is no TOML"),
-        ("[people", "is no TOML"),
-        ("a = " + "[" * 100_000, "is no TOML"),
+        ("[people]\nAda = 'viewer'\nAda = 'engineer'", "no TOML"),
+        ("[people", "no TOML"),
+        ("a = " + "[" * 100_000, "no TOML"),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path, text, named):
     (tmp_path / FILE).write_text(text)
-    with pytest.raises(RolesError, match=FILE) as error:
+    with pytest.raises(StoreError, match=FILE) as error:
         read_people(tmp_path)
     assert named in str(error.value)
     assert "\n" not in str(error.value)
@@ -59,5 +60,5 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path, text, named):
 
 def test_bytes_that_are_no_text_are_told(tmp_path):
     (tmp_path / FILE).write_bytes(b"\xff")
-    with pytest.raises(RolesError, match="can't be read"):
+    with pytest.raises(StoreError, match="can't be read"):
         local_person(tmp_path)
