@@ -5,7 +5,7 @@ import os
 import platform
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -134,10 +134,11 @@ def _home(home: Path) -> Iterator[Check]:
     yield Check("home", writable, f"{home} is {'' if writable else 'not '}writable")
     free_gb = shutil.disk_usage(near).free / 1e9
     yield Check("disk", free_gb >= _NEEDED_GB, f"{free_gb:.0f} GB free, at least {_NEEDED_GB:.0f} GB needed")
-    yield _costs(home)
-    yield _tasks(home)
+    yield _check_read("costs", _costs, home)
+    yield _check_read("work", _tasks, home)
     yield from _stored(home)
-    yield from _receivers(home)
+    if notify_file(home).exists():
+        yield _check_read("receivers", _receivers, home)
     if (home / CATALOG).exists():
         catalog = _catalog(home)
         yield catalog
@@ -145,34 +146,26 @@ def _home(home: Path) -> Iterator[Check]:
             yield _feed(home)
 
 
-def _receivers(home: Path) -> Iterator[Check]:
-    """Check the declaration of the digest's receivers, if there is one."""
-    if not notify_file(home).exists():
-        return
+def _check_read(name: str, read: Callable[[Path], str], home: Path) -> Check:
+    """Check what `read` reads from a home and describes."""
     try:
-        names = ", ".join(r.name for r in receivers_of(home))
-    except NotifyError as error:
-        yield Check("receivers", False, str(error))
-    else:
-        yield Check("receivers", True, f"{names or 'none'}; `hdt digest --try` sends to each")
+        return Check(name, True, read(home))
+    except (CostError, NotifyError, StoreError) as error:
+        return Check(name, False, str(error))
 
 
-def _costs(home: Path) -> Check:
-    try:
-        own = read_costs(home).filter(source=NAME_OF_COSTS).height
-    except CostError as error:
-        return Check("costs", False, str(error))
-    message = f"{own} of the home's own" if own else f"defaults; {NAME_OF_COSTS} in the home sets yours"
-    return Check("costs", True, message)
+def _receivers(home: Path) -> str:
+    return f"{', '.join(r.name for r in receivers_of(home)) or 'none'}; `hdt digest --try` sends to each"
 
 
-def _tasks(home: Path) -> Check:
-    try:
-        read_tasks(home)
-    except StoreError as error:
-        return Check("work", False, str(error))
-    own = (home / NAME_OF_TASKS).exists()
-    return Check("work", True, NAME_OF_TASKS if own else f"examples; {NAME_OF_TASKS} in the home sets yours")
+def _costs(home: Path) -> str:
+    own = read_costs(home).filter(source=NAME_OF_COSTS).height
+    return f"{own} of the home's own" if own else f"defaults; {NAME_OF_COSTS} in the home sets yours"
+
+
+def _tasks(home: Path) -> str:
+    read_tasks(home)
+    return NAME_OF_TASKS if (home / NAME_OF_TASKS).exists() else f"examples; {NAME_OF_TASKS} in the home sets yours"
 
 
 def _stored(home: Path) -> Iterator[Check]:

@@ -1,7 +1,6 @@
 """Count alerts, outcomes and lead at higher and lower limits, with the catalog's own views."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -47,14 +46,13 @@ def thresholds(home: Path) -> list[Row]:
         _replace(copy, _ALERTS[1], tables[_ALERTS[1]].slice(0, 0))
         for _, sql in definitions:
             copy.execute(sql)
-        return list(_outcomes(copy, trials(features, health, maintenance, alert_limits(home))))
+        return [_outcome(copy, t) for t in trials(features, health, maintenance, alert_limits(home))]
 
 
-def _outcomes(con: duckdb.DuckDBPyConnection, alert_sets: Iterator[Trial]) -> Iterator[Row]:
-    for t in alert_sets:
-        _replace(con, _ALERTS[0], t.alerts.to_arrow())
-        (row,) = con.sql(_COUNTS, params=[t.diagnosis]).pl().to_dicts()
-        yield {"diagnosis": t.diagnosis, "limit": t.limit, "value": t.value, "in_service": t.in_service, **row}
+def _outcome(con: duckdb.DuckDBPyConnection, t: Trial) -> Row:
+    _replace(con, _ALERTS[0], t.alerts.to_arrow())
+    (row,) = con.sql(_COUNTS, params=[t.diagnosis]).pl().to_dicts()
+    return {"diagnosis": t.diagnosis, "limit": t.limit, "value": t.value, "in_service": t.in_service, **row}
 
 
 def _view_definitions() -> list[tuple[str, str]]:
