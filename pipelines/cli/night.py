@@ -244,7 +244,7 @@ def _print_rows(title: str, rows: list[dict[str, Any]], outlooks: pl.DataFrame) 
     table = Table(title=title, box=SIMPLE_HEAD, pad_edge=False)
     names = (_("unit"), _("urgency"), _("lost\n(90 %)"), _("flights left\n(90 %)"), _("message"), _("open alerts"))
     for k, name in enumerate(names):
-        table.add_column(name, no_wrap=k < 3)
+        table.add_column(name, no_wrap=k < 3, min_width=len("2024-07-25") if k > 2 else None)
     for r in rows[:MAX_ROWS]:
         o = words.likeliest_outlook(outlooks, r)
         unit = f"{r['operator']} {r['tail']} {r['component'] + ' ' if 'name' in r else ''}{r['pack']}"
