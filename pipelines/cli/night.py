@@ -241,7 +241,7 @@ def _print_rows(title: str, rows: list[dict[str, Any]], outlooks: pl.DataFrame) 
     from pipelines.report import words
     from pipelines.words import _, several
 
-    table = Table(title=title, box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     names = (_("unit"), _("urgency"), _("lost\n(90 %)"), _("flights left\n(90 %)"), _("message"), _("open alerts"))
     for k, name in enumerate(names):
         table.add_column(name, no_wrap=k < 3, min_width=len("2024-07-25") if k > 2 else None)
