@@ -2,7 +2,6 @@
 
 import base64
 from dataclasses import replace
-from types import SimpleNamespace
 
 import polars as pl
 import pytest
@@ -11,6 +10,7 @@ from known_fleet import fleet_with_truth
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
 from pipelines.report import figures
+from pipelines.report.facts import Facts
 from pipelines.report.pictures import calibration_metadata
 from pipelines.report.plots import as_svg, figure_12, figure_13, figure_15, outlet_residuals
 
@@ -45,7 +45,7 @@ def test_line_of_figure_12_follows_the_diffuser(calibrated, monkeypatch):
     drawn = []
     monkeypatch.setattr(figures, "figure_12", lambda *of: drawn.append(of) or figure_12(*of))
     twin = flights.with_columns(admitted=pl.lit(True))
-    page = figures.inlet_group(SimpleNamespace(dsm=replace(dsm, compressor=fit), twin=twin))
+    page = figures.inlet_group(Facts({"twin": twin}, {}, replace(dsm, compressor=fit), {}))
     assert [of[1:] for of in drawn] == [(fit, "si"), (fit, "us")]
     assert set(page["images"]) == {"si", "us"}
 
