@@ -68,8 +68,9 @@ def publish(home: Path) -> Path:
             store.allow_reads(con)
             con.execute("set TimeZone = 'UTC'")  # as readers have it
             con.begin()  # a commit for every comment would take longer than all the rest
-            changed = update_files(con, tables) if reuse else create_views(con, store, tables, stored=True)
-            _store_rows(con, store, changed)
+            changed = update_files(con, tables) if reuse else create_views(con, store, tables, STORED)
+            if changed:
+                _store_rows(con, store, tables, changed)
             con.commit()
         except duckdb.Error:
             for file in (file for _, files in tables.values() for file in files):
@@ -122,10 +123,12 @@ def _is_as_published(path: Path) -> bool:
         return False
 
 
-def create_views(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, stored: bool = False) -> set[str]:
+def create_views(
+    con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, stored: Collection[str] = ()
+) -> set[str]:
     """Create every view over the files of each table, and the list of those files; return the tables.
 
-    With `stored`, the views of `STORED` read the rows that `_store_rows` stores.
+    The views of `stored` read the rows that `_store_rows` stores.
     """
     con.execute("create schema tables")
     con.execute(f"create macro tables.folder() as {_folder(store)}")
@@ -136,7 +139,7 @@ def create_views(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, s
     for former, table in FORMER_NAMES.items():
         con.execute(f"create view tables.{former} as from tables.{table}")
         add_meanings(con, table, former)
-    add_views(con, STORED if stored else ())
+    add_views(con, stored)
     return changed
 
 
@@ -154,16 +157,15 @@ def update_files(con: duckdb.DuckDBPyConnection, tables: Tables) -> set[str]:
     return changed
 
 
-def _store_rows(con: duckdb.DuckDBPyConnection, store: Store, changed: set[str]) -> None:
+def _store_rows(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, changed: set[str]) -> None:
     """Store the rows of the views of `STORED` that some table of `changed` reaches, from files that are checked."""
     definitions = dict(order_views(views()))
-    for name in filter(STORED.__contains__, definitions):
-        if not (read := _tables_below(name, definitions)) & changed:
-            continue
-        names = ", ".join(f"'{table}'" for table in sorted(read))
-        query = f"select path from tables.files where split_part(path, '/', 1) in ({names})"
-        for (path,) in con.execute(query).fetchall():
-            store.tables.verify(path)
+    read = {name: _tables_below(name, definitions) for name in definitions if name in STORED}
+    stale = [name for name in read if read[name] & changed]
+    for table in sorted(set[str]().union(*(read[name] for name in stale))):
+        for file in tables[table][1]:
+            store.tables.verify(file)
+    for name in stale:
         select = definitions[name].partition(f"create or replace view {name} as")[2]
         con.execute(f"delete from tables.{name}; insert into tables.{name} {select}")
 

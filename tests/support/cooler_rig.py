@@ -9,37 +9,18 @@ from typing import Any
 
 import polars as pl
 
+from benchmarks.real.hydraulic import COOLER
 from hdt_core.components import Component, Limit
 from hdt_core.flight.nominal import learn_scatter
 from hdt_core.flight.steady import drift_free
 from hdt_core.health.features import features
 from hdt_core.health.residuals import component_residuals
-from hdt_core.physics.effectiveness import counterflow_effectiveness
-from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.tracking.component import DesignOffset, calibrate_component, track_component
 from hdt_core.tracking.sequential import flight_by_flight
 
 FOLDER = Path(__file__).parents[1] / "data/hydraulic_cooler"
 FAULTS = ("valve_pct", "pump_leakage", "accumulator_bar")
 """Settings of the rig's other faults."""
-
-
-def oil_outlet_k(*, oil_capacity_w_k, oil_in_k, air_in_k, hc_ua_w_k, hc_fouling):
-    """Oil temperature behind the cooler. The air hardly warms: a ratio of heat-capacity rates of 0. [K]"""
-    ntu = (1.0 - hc_fouling) * hc_ua_w_k / oil_capacity_w_k
-    return oil_in_k - counterflow_effectiveness(ntu, 0.0) * (oil_in_k - air_in_k)
-
-
-COOLER = PhysicsModel(
-    name="hydraulic_cooler",
-    inputs=(Signal("oil_capacity_w_k", "W/K"), Signal("oil_in_k", "K"), Signal("air_in_k", "K")),
-    outputs=(Signal("oil_out_k", "K", sigma=0.1),),
-    params=(
-        Param("hc_ua_w_k", "W/K", 150.0, (20.0, 1000.0), "design"),
-        Param("hc_fouling", "-", 0.0, (-0.25, 0.95), "health", drift=0.02),
-    ),
-    equations=oil_outlet_k,
-)
 
 
 def read_samples() -> pl.DataFrame:
