@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from benchmarks.spring_mass_damper import PAPER
-from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
+from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale
 from hdt_benchmark.spring_mass_damper import euler_position_m
 from hdt_core.physics.compressor import inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.effectiveness import counterflow_effectiveness, crossflow_effectiveness
@@ -59,21 +59,21 @@ def fleet(ua_w_k: float, n_flights: int = 1500, seed: int = 1) -> tuple[float, f
     ua_share = 1.0 - np.repeat(np.linspace(0.0, 0.3, n_flights), points)
     hot_out, _ = outlets_k(hot, ram, hot_in, cold_in, ua_share * clean_conductance_w_k(hot, ram, **design))
     seen_ram = ram * (1.0 + per_flight(0.0, 0.04))
-    samples = ExchangerSamples(
-        hot,
-        seen_ram,
+    seen_in, seen_out, seen_cold = (
         hot_in + per_flight(0.0, 0.5),
         hot_out + 0.5 * rng.normal(size=len(hot)),
         cold_in + per_flight(0.0, 0.5),
-        np.full(len(hot), 4.0),
-        np.arange(n_flights + 1) * points,
     )
-    lumped = fit_lumped_resistance(samples)
+    starts = np.arange(n_flights + 1) * points
+    samples = ExchangerSamples(hot, seen_ram, seen_in, seen_out, seen_cold, np.full(len(hot), 4.0), starts)
     crossflow = fit_conductance_scale(samples, clean_conductance_w_k(hot, seen_ram, **design))
-    explained = lumped.mean > 0.0
+    # all but the outlet is constant over a flight, so least squares is H of the mean outlet
+    means = (column.reshape(-1, points).mean(axis=1) for column in (hot, seen_ram, seen_in, seen_out, seen_cold))
+    h_w_k = tied_coefficient_w_k(*means)
+    explained = h_w_k > 0.0
     clean = np.arange(n_flights) < n_flights // 4
     spread = np.std(crossflow.mean[clean] - np.log(ua_share[::points][clean]))
-    ln_h = -np.log(lumped.mean[explained & clean])
+    ln_h = np.log(h_w_k[explained & clean])
     robust = 0.7413 * np.subtract(*np.quantile(ln_h, [0.75, 0.25])) if len(ln_h) > 20 else np.nan
     return float(np.mean(~explained)), float(robust), float(spread)
 

@@ -16,9 +16,8 @@ from numba import njit
 from scipy.optimize import least_squares
 
 from benchmarks.harness import arguments, show
-from hdt_benchmark.exchanger import ExchangerSamples, fit_lumped_resistance
-from hdt_benchmark.exchanger_log import fit_lumped_log
-from hdt_benchmark.peers import FLIGHTS, PEER_FLIGHTS, POINTS, SCIPY, conductance_claim, snapshots
+from hdt_benchmark.exchanger import ExchangerSamples, fit_lumped_log
+from hdt_benchmark.peers import conductance_claim
 from hdt_benchmark.timing import Candidate, Claim, race, table
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K, lumped_exchanger, steady_outlets_k
@@ -26,21 +25,6 @@ from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K, lum
 SECONDS, MASS_KG = 3600, 8.0
 NOMINAL_H_W_K = 2500.0
 MINPACK, LOOP = "SciPy lm over a numba simulation", "SciPy lm over a plain-float loop"
-
-
-def scipy_lumped(samples: ExchangerSamples, n_flights: int) -> np.ndarray:
-    """1/H of the lumped equations in steady flow, likewise."""
-    estimates = []
-    for f in range(n_flights):
-        at = slice(samples.starts[f], samples.starts[f + 1])
-        rate, ram = samples.hot_flow_kg_s[at] * CP_HOT_J_KG_K, samples.ram_flow_kg_s[at] * CP_COLD_J_KG_K
-        hot_in, cold_in, hot_out = samples.hot_in_k[at], samples.cold_in_k[at], samples.hot_out_k[at]
-
-        def residuals(x, rate=rate, ram=ram, hot_in=hot_in, cold_in=cold_in, hot_out=hot_out):
-            return 2.0 * (hot_out - hot_in + (hot_in - cold_in) / (1.0 + rate / ram + rate * 1e-3 * x[0]))
-
-        estimates.append(1e-3 * least_squares(residuals, [0.4], method="lm", xtol=1e-10, ftol=1e-12).x[0])
-    return np.array(estimates)
 
 
 def log() -> ExchangerSamples:
@@ -87,16 +71,6 @@ def scipy_log(samples: ExchangerSamples, simulate: Callable, columns: list) -> f
     return float(least_squares(residuals, [np.log(NOMINAL_H_W_K)], method="lm").x[0])
 
 
-def resistance_claim(rounds: int) -> Claim:
-    """The paper's equations in steady flow: 1/H, in K/kW."""
-    samples, _ = snapshots(FLIGHTS, POINTS)
-    runs = {
-        "ours, batched, compiled": Candidate(lambda: 1e3 * fit_lumped_resistance(samples).mean, FLIGHTS),
-        SCIPY: Candidate(lambda: 1e3 * scipy_lumped(samples, PEER_FLIGHTS), PEER_FLIGHTS),
-    }
-    return race("tied H of equations (7)-(8), 30 points a flight", runs, rounds, per_second=1e6)
-
-
 def log_claim(rounds: int) -> Claim:
     """The paper's equations with their dynamics: ln H of one log."""
     samples = log()
@@ -135,7 +109,7 @@ def repeated(n: int, fit: Callable[[], float]) -> np.ndarray:
 
 def main(rounds: int = 7) -> list[Claim]:
     """All claims."""
-    claims = (conductance_claim, resistance_claim, log_claim, effectiveness_claim)
+    claims = (conductance_claim, log_claim, effectiveness_claim)
     return [claim(rounds) for claim in claims]
 
 

@@ -1,193 +1,238 @@
-"""Kernels of the per-flight exchanger fits: sixteen flights side by side, for the vector registers."""
+"""Kernels of the per-flight exchanger fit: sixteen samples of a flight side by side, for the vector registers."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from hdt_benchmark.exchanger_rows import FEW_UNITS, LANES, LARGER_UNITS, sums_of_step, vectorised
-from hdt_core.estimation.compiled import linked
+from hdt_core.estimation.compiled import COMPILED, linked
 from hdt_core.estimation.problem import Array
 from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
-from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
+from hdt_core.physics.effectiveness import MAX_TERMS, SERIES_TOLERANCE, SERIES_UNITS, contour_sums
 
 CONVERGED, AT_BOUND, MAX_STEPS, NOT_IDENTIFIABLE = 0, 1, 2, 3
 LEAST_SPAN_K = 1.0  # between the inlets; below it a sample says nothing about the exchanger
 MOST_STEPS = 25
-START_STEPS = 4
 SETTLED = 1e-5  # what is left after such a step is about a hundredth of it
 LONGEST_STEP = 1.0
 BOUND = 4.0  # of ln UA over the clean UA
-KILO = 1000.0  # 1/H is fitted per kW/K, so that steps and tolerance are of order one
+LANES = 16  # samples at once: two registers of eight doubles, or four of four
+BLOCK = 16  # flights whose terms stay in the nearest cache
+TERMS, FEW_UNITS = 12, 8.0  # terms of the series, good to 3e-11 while the product of both sides' NTU is this or less
+LARGER_UNITS = 32.0  # and the larger of the two this
+FREELY = {"reassoc", "contract", "arcp", "nsz"}
 
 Integers = npt.NDArray[np.int64]
 Columns = tuple[Array, Array, Array, Array, Array, Array]
 """Hot flow, ram flow, hot in, hot out, cold in, weight: (n_samples,) each."""
 Fit = tuple[Array, Array, Array, Integers, Integers, Integers]
+F = TypeVar("F", bound=Callable[..., object])
+
+if COMPILED:  # numba accelerates; nothing depends on it
+    from numba import njit
+
+
+def vectorised(function: F) -> F:
+    """Compile with sums reordered for the vector registers; NaN and infinity keep their meaning.
+
+    The machine code is kept on disk. Numba knows it is stale by this file alone: after changing what is imported here,
+    remove the `__pycache__` beside it.
+    """
+    if not COMPILED:
+        return function
+    return cast("F", njit(cache=True, fastmath=FREELY, error_model="numpy")(function))
+
+
+def _inlined(function: F) -> F:
+    """Compile into the caller, whose loop can only then be vectorised."""
+    return cast("F", njit(inline="always")(function)) if COMPILED else function
+
 
 _mean_heat = vectorised(mean_specific_heat_j_kg_k)
 _warmed = vectorised(linked(warmed_k, mean_specific_heat_j_kg_k=_mean_heat))
-
-
-def conductance_scale(samples: Columns, clean_ua_w_k: Array, starts: Integers) -> Fit:
-    """See `exchanger.fit_conductance_scale`."""
-    mean, information, chi2, n_used, steps, code = _fits(True, samples, clean_ua_w_k, starts)
-    at_bound = (np.abs(mean) >= BOUND) & (code != NOT_IDENTIFIABLE)
-    return mean, information, chi2, n_used, steps, np.where(at_bound, AT_BOUND, code)
-
-
-def lumped_resistance(samples: Columns, starts: Integers) -> Fit:
-    """See `exchanger.fit_lumped_resistance`."""
-    mean, information, chi2, n_used, steps, code = _fits(False, samples, samples[0], starts)
-    at_bound = (mean <= 0.0) & (code != NOT_IDENTIFIABLE)
-    return mean / KILO, information * KILO**2, chi2, n_used, steps, np.where(at_bound, AT_BOUND, code)
+_contour_sums: Any = vectorised(contour_sums)  # the same equation, one number at a time
 
 
 @vectorised
-def _crossflow_terms(
-    hot_flow: Array, ram_flow: Array, hot_in: Array, hot_out: Array, cold_in: Array, clean: Array, flat: Array
-) -> None:
-    """NTU and ratio of capacity rates of each sample, by `physics.heat_exchanger.capacity_rates`.
+def _decay(x: float) -> float:
+    """exp(-x) for 0 <= x < 40 from multiplications alone, which vectorise; absolute error below 1e-14."""
+    y = -x / 64.0
+    s = 1.0 + y / 8.0 * (1.0 + y / 9.0 * (1.0 + y / 10.0 * (1.0 + y / 11.0)))
+    s = 1.0 + y * (
+        1.0 + y / 2.0 * (1.0 + y / 3.0 * (1.0 + y / 4.0 * (1.0 + y / 5.0 * (1.0 + y / 6.0 * (1.0 + y / 7.0 * s)))))
+    )
+    s *= s
+    s *= s
+    s *= s
+    s *= s
+    s *= s
+    return s * s
 
-    One short loop a row: with more arrays in one it is not vectorised. The last two rows are work space.
+
+@_inlined
+def _series(a: float, b: float) -> tuple[float, float]:
+    """Effectiveness and its derivative by ln UA, as `physics.effectiveness` has them."""
+    t_a, t_b = _decay(a), _decay(b)
+    p, q = 1.0 - t_a, 1.0 - t_b
+    total, slope = 0.0, 0.0
+    for n in range(TERMS):
+        total += p * q
+        per = 1.0 / (n + 1.0)
+        t_a *= a * per
+        slope += t_a * t_b
+        t_b *= b * per
+        p -= t_a
+        q -= t_b
+    return total / b, slope
+
+
+@vectorised
+def _any_units(a: float, b: float) -> tuple[float, float]:
+    """The same for any number of transfer units."""
+    few, many = min(a, b), max(a, b)
+    if few > SERIES_UNITS:
+        short, unequal = _contour_sums(few, many)
+        return (few - short) / b, few * unequal / b
+    t_a, t_b = np.exp(-a), np.exp(-b)
+    p, q = -np.expm1(-a), -np.expm1(-b)
+    total, slope, added, n = 0.0, 0.0, 1.0, 0
+    while n < MAX_TERMS and (n < few or added > SERIES_TOLERANCE * b):
+        added = p * q
+        total += added
+        n += 1
+        t_a *= a / n
+        slope += t_a * t_b
+        t_b *= b / n
+        p -= t_a
+        q -= t_b
+    return total / b, slope
+
+
+@vectorised
+def _terms(
+    hot_flow: Array, ram_flow: Array, hot_in: Array, hot_out: Array, cold_in: Array, weight: Array, clean: Array,
+    flat: Array,
+) -> None:  # fmt: skip
+    """NTU, ratio of capacity rates by `physics.heat_exchanger.capacity_rates`, measured effectiveness and its weight.
+
+    The weight is 0 where a value is missing or the sample uninformative. One short loop a row: with more arrays in one
+    it is not vectorised.
     """
-    ntu, ratio, rate, heat = flat[0], flat[1], flat[2], flat[3]
-    for i in range(len(hot_flow)):
-        rate[i] = hot_flow[i] * _mean_heat(hot_in[i], hot_out[i])
-    for i in range(len(hot_flow)):
-        heat[i] = rate[i] * (hot_in[i] - hot_out[i]) / ram_flow[i]
-    for i in range(len(hot_flow)):
-        ratio[i] = _mean_heat(cold_in[i], _warmed(cold_in[i], heat[i]))
-    for i in range(len(hot_flow)):
-        ratio[i] = rate[i] / (ram_flow[i] * ratio[i])
-    for i in range(len(hot_flow)):
-        ntu[i] = clean[i] / rate[i]
-
-
-@vectorised
-def _lumped_terms(hot_flow: Array, ram_flow: Array, flat: Array) -> None:
-    """Heat-capacity rate and base of each sample."""
-    rate, base = flat[0], flat[1]
-    for i in range(len(hot_flow)):
-        rate[i] = hot_flow[i] * (CP_HOT_J_KG_K / KILO)
-    for i in range(len(hot_flow)):
-        base[i] = 1.0 + hot_flow[i] * CP_HOT_J_KG_K / (ram_flow[i] * CP_COLD_J_KG_K)
-
-
-@vectorised
-def _measured_terms(hot_in: Array, hot_out: Array, cold_in: Array, weight: Array, flat: Array) -> None:
-    """Compute measured effectiveness and its weight; 0 where a value is missing or the sample uninformative."""
-    first, second, effectiveness, heavy = flat[0], flat[1], flat[2], flat[3]
-    for i in range(len(hot_in)):
+    ntu, ratio, effectiveness, heavy = flat[0], flat[1], flat[2], flat[3]  # the last two are work space at first
+    n = len(hot_flow)
+    for i in range(n):
+        effectiveness[i] = hot_flow[i] * _mean_heat(hot_in[i], hot_out[i])
+    for i in range(n):
+        heavy[i] = effectiveness[i] * (hot_in[i] - hot_out[i]) / ram_flow[i]
+    for i in range(n):
+        ratio[i] = _mean_heat(cold_in[i], _warmed(cold_in[i], heavy[i]))
+    for i in range(n):
+        ratio[i] = effectiveness[i] / (ram_flow[i] * ratio[i])
+    for i in range(n):
+        ntu[i] = clean[i] / effectiveness[i]
+    for i in range(n):
         effectiveness[i] = (hot_in[i] - hot_out[i]) / (hot_in[i] - cold_in[i])
-    for i in range(len(hot_in)):
+    for i in range(n):
         span = hot_in[i] - cold_in[i]
-        finite = (first[i] < np.inf) & (second[i] < np.inf) & (abs(effectiveness[i]) < np.inf) & (weight[i] < np.inf)
-        is_informative = (first[i] > 0.0) & (second[i] > 0.0) & (span >= LEAST_SPAN_K) & (weight[i] > 0.0)
+        finite = (ntu[i] < np.inf) & (ratio[i] < np.inf) & (abs(effectiveness[i]) < np.inf) & (weight[i] < np.inf)
+        is_informative = (ntu[i] > 0.0) & (ratio[i] > 0.0) & (span >= LEAST_SPAN_K) & (weight[i] > 0.0)
         heavy[i] = weight[i] * span * span if finite & is_informative else 0.0
 
 
 @vectorised
-def _lay_down(flat: Array, begin: int, length: int, rows: int, lane: int, lanes: Array) -> tuple[int, float]:
-    """Copy one flight into a lane; unusable samples and padding get weight 0.
+def _lay_down(flat: Array, begin: int, end: int, lanes: Array) -> tuple[int, float]:
+    """Copy the samples of a flight that count, and fill the last row of lanes with some of weight 0.
 
-    Returns how many count, and what `sums_of_step` holds against `FEW_UNITS`.
+    Returns how many count, and what `_sums` holds against `FEW_UNITS`.
     """
-    n_used, peak = 0, 0.0
-    for j in range(length):
-        i = begin + j
+    n, peak = 0, 0.0
+    for i in range(begin, end):
         if flat[3, i] > 0.0:
-            lanes[0, j, lane], lanes[1, j, lane] = flat[0, i], flat[1, i]
-            lanes[2, j, lane], lanes[3, j, lane] = flat[2, i], flat[3, i]
+            lanes[0, n], lanes[1, n], lanes[2, n], lanes[3, n] = flat[0, i], flat[1, i], flat[2, i], flat[3, i]
             larger = max(1.0, flat[1, i] * flat[1, i]) * (FEW_UNITS / LARGER_UNITS**2)
             peak = max(peak, flat[0, i] * flat[0, i] * max(flat[1, i], larger))
-            n_used += 1
-        else:
-            lanes[0, j, lane], lanes[1, j, lane], lanes[2, j, lane], lanes[3, j, lane] = 1.0, 1.0, 0.0, 0.0
-    for j in range(length, rows):
-        lanes[0, j, lane], lanes[1, j, lane], lanes[2, j, lane], lanes[3, j, lane] = 1.0, 1.0, 0.0, 0.0
-    return n_used, peak
+            n += 1
+    for j in range(n, -(-n // LANES) * LANES):
+        lanes[0, j], lanes[1, j], lanes[2, j], lanes[3, j] = 1.0, 1.0, 0.0, 0.0
+    return n, peak
 
 
 @vectorised
-def _middle(rows: int, lanes: Array, middle: Array) -> None:
-    """Compute each lane's weighted mean sample, used for the start."""
-    first, second, effectiveness, whole = middle[0, 0], middle[1, 0], middle[2, 0], middle[3, 0]
-    middle[:] = 0.0
-    for j in range(rows):
-        for f in range(LANES):
-            whole[f] += lanes[3, j, f]
-            first[f] += lanes[3, j, f] * lanes[0, j, f]
-            second[f] += lanes[3, j, f] * lanes[1, j, f]
-            effectiveness[f] += lanes[3, j, f] * lanes[2, j, f]
-    for f in range(LANES):
-        over = 1.0 / whole[f] if whole[f] > 0.0 else 0.0
-        empty = 0.0 if whole[f] > 0.0 else 1.0
-        first[f], second[f], effectiveness[f] = (
-            first[f] * over + empty,
-            second[f] * over + empty,
-            effectiveness[f] * over + empty,
-        )
-        whole[f] = 1.0
+def _start(n: int, lanes: Array) -> float:
+    """Return ln UA over the clean UA of the mean sample: counterflow in closed form, and a Newton step from there."""
+    ntu, ratio, effectiveness, whole = 0.0, 0.0, 0.0, 0.0
+    for j in range(n):
+        whole += lanes[3, j]
+        ntu += lanes[3, j] * lanes[0, j]
+        ratio += lanes[3, j] * lanes[1, j]
+        effectiveness += lanes[3, j] * lanes[2, j]
+    ntu, ratio = ntu / whole, ratio / whole
+    eps = min(max(effectiveness / whole, 1e-3), 0.999 / max(ratio, 1.0))
+    apart = ratio - 1.0 if abs(ratio - 1.0) > 1e-6 else 1e-6
+    theta = np.log(np.log((1.0 - eps) / (1.0 - eps * (1.0 + apart))) / apart / ntu)
+    a = np.exp(theta) * ntu
+    if a * a * ratio < FEW_UNITS:
+        value, slope = _series(a, a * ratio)
+        theta += (effectiveness / whole - value) / slope
+    return float(theta)
 
 
 @vectorised
-def _take_step(theta: float, step: float) -> float:
-    return min(max(theta + min(max(step, -LONGEST_STEP), LONGEST_STEP), -BOUND), BOUND)
+def _sums(n: int, lanes: Array, scale: float, peak: float) -> tuple[float, float, float]:
+    """Pull, information and sum of squares over a flight's samples, at UA `scale` times the clean UA."""
+    ntu, ratio, effectiveness, weight = lanes[0], lanes[1], lanes[2], lanes[3]
+    pull, info, chi2 = 0.0, 0.0, 0.0
+    if scale * scale * peak > FEW_UNITS:
+        for k in range(n):
+            value, slope = _any_units(scale * ntu[k], scale * ntu[k] * ratio[k])
+            residual = effectiveness[k] - value
+            pull += weight[k] * slope * residual
+            info += weight[k] * slope * slope
+            chi2 += weight[k] * residual * residual
+        return pull, info, chi2
+    for first in range(0, n, LANES):
+        for k in range(first, first + LANES):
+            a = scale * ntu[k]
+            value, slope = _series(a, a * ratio[k])
+            residual = effectiveness[k] - value
+            pull += weight[k] * slope * residual
+            info += weight[k] * slope * slope
+            chi2 += weight[k] * residual * residual
+    return pull, info, chi2
 
 
 @vectorised
-def _fits(crossflow: bool, samples: Columns, clean: Array, starts: Integers) -> Fit:  # noqa: PLR0912
+def conductance_scale(samples: Columns, clean: Array, starts: Integers) -> Fit:
+    """See `exchanger.fit_conductance_scale`."""
     hot_flow, ram_flow, hot_in, hot_out, cold_in, weight = samples
-    n_flights = len(starts) - 1
-    longest, widest = 1, 1
+    n_flights, longest, widest = len(starts) - 1, 1, 1
     for f in range(n_flights):
         longest = max(longest, starts[f + 1] - starts[f])
-        widest = max(widest, starts[min(f + LANES, n_flights)] - starts[f])
-    lanes, middle, flat = np.empty((4, longest, LANES)), np.empty((4, 1, LANES)), np.empty((4, widest))
-    theta, scale, peak, sums = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty((3, LANES))
-    is_active = np.empty(LANES, np.bool_)
+        widest = max(widest, starts[min(f + BLOCK, n_flights)] - starts[f])
+    flat, lanes = np.empty((4, widest)), np.empty((4, longest + LANES))
     mean, information, chi2 = np.full(n_flights, np.nan), np.zeros(n_flights), np.zeros(n_flights)
     n_used, steps = np.zeros(n_flights, np.int64), np.zeros(n_flights, np.int64)
     code = np.full(n_flights, NOT_IDENTIFIABLE)
-    for first in range(0, n_flights, LANES):
-        together = min(LANES, n_flights - first)
-        a, z = starts[first], starts[first + together]
-        if crossflow:
-            _crossflow_terms(hot_flow[a:z], ram_flow[a:z], hot_in[a:z], hot_out[a:z], cold_in[a:z], clean[a:z], flat)
-        else:
-            _lumped_terms(hot_flow[a:z], ram_flow[a:z], flat)
-        _measured_terms(hot_in[a:z], hot_out[a:z], cold_in[a:z], weight[a:z], flat)
-        rows = 1
-        for f in range(together):
-            rows = max(rows, starts[first + f + 1] - starts[first + f])
-        for f in range(LANES):
-            at = first + min(f, together - 1)
-            length = starts[at + 1] - starts[at] if f < together else 0
-            n_samples, peak[f] = _lay_down(flat, starts[at] - a, length, rows, f, lanes)
-            theta[f], is_active[f] = 0.0, n_samples > 0
-            if f < together:
-                n_used[first + f] = n_samples
-        _middle(rows, lanes, middle)
-        for _ in range(START_STEPS):
-            sums_of_step(crossflow, 1, middle, theta, sums, scale, peak)
-            for f in range(LANES):
-                theta[f] = _take_step(theta[f], sums[0, f] / sums[1, f])
+    for f in range(n_flights):
+        if f % BLOCK == 0:
+            a, z = starts[f], starts[min(f + BLOCK, n_flights)]
+            _terms(hot_flow[a:z], ram_flow[a:z], hot_in[a:z], hot_out[a:z], cold_in[a:z], weight[a:z], clean[a:z], flat)
+        n_used[f], peak = _lay_down(flat, starts[f] - a, starts[f + 1] - a, lanes)
+        if n_used[f] == 0:
+            continue
+        theta, code[f] = _start(n_used[f], lanes), MAX_STEPS
         for _ in range(MOST_STEPS):
-            sums_of_step(crossflow, rows, lanes, theta, sums, scale, peak)
-            any_active = False
-            for f in range(together):
-                if is_active[f]:
-                    step = sums[0, f] / max(sums[1, f], 1e-300)
-                    theta[f] = _take_step(theta[f], step)
-                    information[first + f], chi2[first + f] = sums[1, f], sums[2, f]
-                    steps[first + f] += 1
-                    is_active[f] = abs(step) > SETTLED
-                    any_active = any_active or is_active[f]
-            if not any_active:
+            pull, information[f], chi2[f] = _sums(n_used[f], lanes, np.exp(theta), peak)
+            step = pull / max(information[f], 1e-300)
+            theta = min(max(theta + min(max(step, -LONGEST_STEP), LONGEST_STEP), -BOUND), BOUND)
+            steps[f] += 1
+            if abs(step) <= SETTLED:
+                code[f] = CONVERGED
                 break
-        for f in range(together):
-            if n_used[first + f] > 0:
-                mean[first + f] = theta[f]
-                code[first + f] = MAX_STEPS if is_active[f] else CONVERGED
+        mean[f] = theta
+        if abs(theta) >= BOUND:
+            code[f] = AT_BOUND
     return mean, information, chi2, n_used, steps, code

@@ -13,8 +13,8 @@ from hdt_benchmark.exchanger_compiled import (
     Columns,
     Fit,
     Integers,
+    vectorised,
 )
-from hdt_benchmark.exchanger_rows import vectorised
 from hdt_core.estimation.problem import Array
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
-from hdt_benchmark.exchanger_log import fit_lumped_log
+from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_log
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates, clean_conductance_w_k, outlets_k
 from hdt_core.physics.lumped_exchanger import lumped_exchanger, steady_outlets_k
@@ -27,29 +26,6 @@ def snapshots(lengths, loss, sigma_k=0.5, seed=0):
     return ExchangerSamples(
         hot, ram, hot_in, measured_k, cold_in, np.full(n, 1.0 / max(sigma_k, 0.01) ** 2), starts
     ), clean
-
-
-def lumped(lengths, h_w_k, sigma_k=0.5, seed=0):
-    samples, _ = snapshots(lengths, np.zeros(len(lengths)), 0.01, seed)
-    h = np.repeat(h_w_k, lengths)
-    inputs = {
-        "hot_flow_kg_s": samples.hot_flow_kg_s,
-        "ram_flow_kg_s": samples.ram_flow_kg_s,
-        "hot_in_k": samples.hot_in_k,
-        "cold_in_k": samples.cold_in_k,
-    }
-    hot_out, _ = steady_outlets_k(**inputs, hx_h_hot_w_k=h, hx_h_cold_w_k=h)
-    measured_k = hot_out + sigma_k * np.random.default_rng(seed + 1).normal(size=len(h))
-    weight = np.full(len(h), 1.0 / max(sigma_k, 0.01) ** 2)
-    return ExchangerSamples(
-        samples.hot_flow_kg_s,
-        samples.ram_flow_kg_s,
-        samples.hot_in_k,
-        measured_k,
-        samples.cold_in_k,
-        weight,
-        samples.starts,
-    )
 
 
 def changed(samples, **columns):
@@ -110,22 +86,6 @@ def test_conductance_is_that_of_the_outlets():
         assert fits.chi2[f] == pytest.approx(2.0 * answer.cost, rel=6e-3)
 
 
-def test_lumped_resistance_comes_back():
-    h = np.geomspace(300.0, 1e5, 30)
-    fits = fit_lumped_resistance(lumped(np.full(30, 20), h, sigma_k=0.0))
-    np.testing.assert_allclose(1.0 / fits.mean, h, rtol=1e-6)
-    assert set(fits.status) == {"converged"}
-
-
-def test_an_efficient_exchanger_rests_on_the_bound():
-    """Cross-flow truth of high UA: no H > 0, and the fit says so instead of inventing one."""
-    samples, _ = snapshots(np.full(10, 30), np.full(10, -0.6))
-    fits = fit_lumped_resistance(samples)
-    assert set(fits.status) == {"at_bound"}
-    assert np.all(fits.mean < 0.0)
-    assert np.all(fits.information > 0.0)
-
-
 def test_ragged_flights_with_holes_keep_to_themselves():
     """Ragged flights, an empty one, missing values, impossible samples: each as if it were fitted alone."""
     rng = np.random.default_rng(7)
@@ -138,11 +98,7 @@ def test_ragged_flights_with_holes_keep_to_themselves():
     holes["ram_flow_kg_s"] = np.where(rng.random(len(clean)) < 0.02, 0.0, samples.ram_flow_kg_s)
     holes["cold_in_k"] = np.where(rng.random(len(clean)) < 0.02, samples.hot_in_k, samples.cold_in_k)
     broken = changed(samples, **holes)
-    for fit in (
-        fit_conductance_scale,
-        lambda samples, _: fit_lumped_resistance(samples),
-        lambda samples, _: fit_lumped_log(samples, 1.0, 8.0, 8.0),
-    ):
+    for fit in (fit_conductance_scale, lambda samples, _: fit_lumped_log(samples, 1.0, 8.0, 8.0)):
         together = fit(broken, clean)
         assert together.status[5] == "not_identifiable"
         assert np.isnan(together.mean[5])
@@ -154,16 +110,6 @@ def test_ragged_flights_with_holes_keep_to_themselves():
             np.testing.assert_allclose(alone.mean[0], together.mean[f], rtol=1e-9, atol=1e-12)
             np.testing.assert_allclose(alone.information[0], together.information[f], rtol=1e-8)
             assert (alone.n_used[0], alone.code[0]) == (together.n_used[f], together.code[f])
-
-
-def test_a_flight_s_answer_does_not_depend_on_its_neighbours():
-    samples, clean = snapshots(np.array([30, 7, 55, 30, 1]), np.array([0.0, 0.5, 0.1, 0.3, 0.2]), seed=11)
-    together = fit_conductance_scale(samples, clean)
-    for f in range(5):
-        at = slice(samples.starts[f], samples.starts[f + 1])
-        names = ("hot_flow_kg_s", "ram_flow_kg_s", "hot_in_k", "hot_out_k", "cold_in_k", "weight_per_k2")
-        alone = ExchangerSamples(*(getattr(samples, n)[at] for n in names), np.array([0, at.stop - at.start]))
-        assert fit_conductance_scale(alone, clean[at]).mean[0] == pytest.approx(together.mean[f], abs=1e-12)
 
 
 def test_samples_that_say_nothing_are_passed_over():

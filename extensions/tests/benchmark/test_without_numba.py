@@ -7,8 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_resistance
-from hdt_benchmark.exchanger_log import fit_lumped_log
+from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_log
 from hdt_benchmark.oscillator import oscillator_problem
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares
 
@@ -38,7 +37,6 @@ def answers():
     flights, problem = samples(), oscillator_problem(0)
     estimates = {
         "conductance": fit_conductance_scale(flights, np.full(24, 1500.0)).mean,
-        "resistance": fit_lumped_resistance(flights).mean,
         "log": fit_lumped_log(flights, 1.0, 8.0, 8.0).mean,
         "nls": NonlinearLeastSquares().estimate(problem).belief.mean,
         "ekf": ExtendedKalman().estimate(problem).belief.mean,
