@@ -13,7 +13,7 @@ from pathlib import Path
 from hdt_core.tables import TABLES, hindsight
 from hdt_core.tables.hindsight import DESIGN, REVISIONS
 from pipelines.storage.catalog import connect
-from pipelines.storage.headers import find_meaning, read_header
+from pipelines.storage.headers import meanings_of_columns, read_header
 from pipelines.storage.publication import order_views, publish, views
 
 _TITLE = """# Data dictionary
@@ -61,9 +61,9 @@ def view_columns() -> dict[str, list[tuple[str, str, str]]]:
         publish(Path(home))
         with connect(Path(home)) as con:
             descriptions = {v: con.sql(f"describe {v}").fetchall() for v, _ in order_views(views())}
-    headers = {name: read_header(sql) for name, sql in views().items()}
+    meanings = meanings_of_columns({name: read_header(sql) for name, sql in views().items()})
     return {
-        view: [(str(row[0]), str(row[1]).lower(), find_meaning(view, str(row[0]), headers)) for row in rows]
+        view: [(str(row[0]), str(row[1]).lower(), meanings[view].get(str(row[0]), "")) for row in rows]
         for view, rows in descriptions.items()
     }
 

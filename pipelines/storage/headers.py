@@ -1,7 +1,9 @@
 """Read the meaning of views and columns: headers of the views, declarations of the tables."""
 
 import re
+from collections import ChainMap
 from dataclasses import dataclass
+from graphlib import TopologicalSorter
 
 import dataframely as dy
 
@@ -37,19 +39,14 @@ def read_header(sql: str) -> ViewHeader:
     return ViewHeader(question, text.pop(""), text.pop("Grain", "").rstrip("."), sources, text)
 
 
-def find_meaning(view: str, column: str, headers: dict[str, ViewHeader]) -> str:
-    """Find a column's meaning: in the view's header, else in the tables and views it reads; empty if nowhere."""
-    header = headers[view]
-    if column in header.columns:
-        return header.columns[column]
-    tables = [r.removeprefix("tables.") for r in header.sources if r.startswith("tables.")]
-    for table in tables:
-        if column in MEANINGS[table]:
-            return MEANINGS[table][column]
-    for other in header.sources:
-        if other in headers and (meaning := find_meaning(other, column, headers)):
-            return meaning
-    return ""
+def meanings_of_columns(headers: dict[str, ViewHeader]) -> dict[str, dict[str, str]]:
+    """Map each view to the meanings of its columns: by its own header, else by the tables and views it reads."""
+    meanings: dict[str, dict[str, str]] = {}
+    for view in TopologicalSorter({v: set(h.sources) & set(headers) for v, h in headers.items()}).static_order():
+        tables = [MEANINGS[s.removeprefix("tables.")] for s in headers[view].sources if s.startswith("tables.")]
+        views = [{c: m for c, m in meanings[s].items() if m} for s in headers[view].sources if s in headers]
+        meanings[view] = dict(ChainMap(headers[view].columns, *tables, *views))
+    return meanings
 
 
 def describe_column(column: dy.Column) -> str:

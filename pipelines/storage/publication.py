@@ -7,7 +7,7 @@ view would be planned over two hundred Parquet readers, a second of processor be
 
 import re
 import shutil
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from graphlib import TopologicalSorter
 from importlib import resources
 from pathlib import Path
@@ -19,7 +19,7 @@ from pipelines.storage.catalog import CATALOG, open_catalog, quote, restrict
 from pipelines.storage.data_file import hash_of
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import replacing
-from pipelines.storage.headers import MEANINGS, find_meaning, read_header
+from pipelines.storage.headers import MEANINGS, meanings_of_columns, read_header
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_copy import copy_ledger
 from pipelines.storage.objects import StoreError
@@ -221,19 +221,17 @@ def add_views(con: duckdb.DuckDBPyConnection, stored: Collection[str] = ()) -> N
         if name in stored:
             con.execute(f"create table tables.{name} as from {name} limit 0")
             con.execute(f"create or replace view {name} as from tables.{name}")
-    comments = [f"comment on view {name} is {quote(header.question)}" for name, header in headers.items()]
-    columns = con.execute(_COLUMNS).fetchall()
-    for view, c in columns:
-        meaning = quote(find_meaning(view, c, headers))
-        places = (view, f"tables.{view}") if view in stored else (view,)
-        comments += [f'comment on column {place}."{c}" is {meaning}' for place in places]
-    con.execute("; ".join(comments))  # at once: half the time
+    con.execute("; ".join(f"comment on view {name} is {quote(header.question)}" for name, header in headers.items()))
+    meanings = meanings_of_columns(headers)
+    for view, columns in con.execute(_COLUMNS).fetchall():
+        for place in (view, f"tables.{view}") if view in stored else (view,):
+            _comment(con, place, {c: meanings[view].get(c, "") for c in columns})
 
 
 _COLUMNS = """
-select table_name, column_name from duckdb_columns()
+select table_name, list(column_name order by column_index) from duckdb_columns()
 where database_name = current_database() and schema_name = 'main' and not internal
-order by table_name, column_index"""
+group by table_name order by table_name"""
 
 
 def views() -> dict[str, str]:
@@ -264,5 +262,10 @@ def _base_view(con: duckdb.DuckDBPyConnection, table: str, files: list[str]) -> 
 
 def add_meanings(con: duckdb.DuckDBPyConnection, table: str, name: str | None = None) -> None:
     """Comment each column of `tables.<name>`, by default of the table's own name, with its declared meaning."""
-    meanings = MEANINGS[table].items()
-    con.execute("; ".join(f"comment on column tables.{name or table}.{c} is {quote(m)}" for c, m in meanings))
+    _comment(con, f"tables.{name or table}", MEANINGS[table])
+
+
+def _comment(con: duckdb.DuckDBPyConnection, place: str, meanings: Mapping[str, str]) -> None:
+    """Comment columns of a table or view, all at once: half the time."""
+    texts = {c: meaning.replace("'", "''") for c, meaning in meanings.items()}
+    con.execute("; ".join(f"comment on column {place}.\"{c}\" is '{text}'" for c, text in texts.items()))
