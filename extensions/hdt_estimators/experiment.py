@@ -1,4 +1,4 @@
-"""Plan an experiment: the likelihood profile of a parameter, and the most informative further sensor."""
+"""Plan an experiment: the most informative further sensor."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hdt_core.estimation.estimate import Estimator
 from hdt_core.estimation.identifiability import fisher, invert_information
 from hdt_core.estimation.problem import Array, Problem, Sample
 
@@ -51,24 +50,6 @@ def rank_sensors(problem: Problem, theta: Array, candidates: Sequence[Candidate]
         nats = 0.5 * (np.linalg.slogdet(total)[1] - np.linalg.slogdet(information)[1])
         gains.append(Gain(candidate.name, float(nats), np.sqrt(np.diag(invert_information(total)[0]))))
     return sorted(gains, key=lambda gain: -gain.nats)
-
-
-def profile(problem: Problem, estimator: Estimator, name: str, values: Array) -> Array:
-    """Compute a profile likelihood: the objective with `name` fixed at each of `values` (p,) and all others refitted.
-
-    Returns
-    -------
-    array (p,)
-        Twice the negative log posterior; 95 % of a single parameter lies within 3.84 of the minimum.
-    """
-    index = problem.names.index(name)
-    objectives = np.empty(len(values))
-    for i, value in enumerate(values):
-        bounds = problem.bounds.copy()
-        bounds[index] = value
-        fixed_problem = replace(problem, bounds=bounds)
-        objectives[i] = fixed_problem.objective(estimator.estimate(fixed_problem).belief.mean[None])[0]
-    return objectives
 
 
 def _floor(problem: Problem) -> Array:
