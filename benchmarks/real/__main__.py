@@ -9,18 +9,10 @@ import time
 from pathlib import Path
 
 from benchmarks.harness import DOCS, arguments, put
-from benchmarks.real import cmapss, events, filters, hydraulic, lives, skab
+from benchmarks.real import cmapss, filters, hydraulic, lives, skab
 from benchmarks.real.page import PAGE, described, plotted
 
-RECIPES = (
-    filters.RECIPE,
-    hydraulic.RECIPE,
-    cmapss.RECIPE,
-    skab.RECIPE,
-    events.PREDIST,
-    events.CARE,
-    lives.RECIPE,
-)
+RECIPES = (filters.RECIPE, hydraulic.RECIPE, cmapss.RECIPE, skab.RECIPE, lives.RECIPE)
 
 
 def main() -> None:

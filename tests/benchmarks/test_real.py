@@ -1,12 +1,12 @@
 """Recipes for real data, rehearsed on files of the same layout that are made here; the real ones need their folders."""
 
-from datetime import datetime, timedelta
+from datetime import datetime
 
 import numpy as np
 import polars as pl
 import pytest
 
-from benchmarks.real import cmapss, events, filters, lives, skab
+from benchmarks.real import cmapss, filters, lives, skab
 from benchmarks.real.__main__ import RECIPES
 from benchmarks.real.censored import life_bounds
 from benchmarks.real.page import described
@@ -25,15 +25,6 @@ def process(rows: int, seed: int, drift: np.ndarray | float = 0.0) -> np.ndarray
     return values
 
 
-def write_csv(frame: pl.DataFrame, file) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    frame.write_csv(file, separator=";")
-
-
-def table(values: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
-    return dict(zip(names, values.T, strict=True))
-
-
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
     """SKAB's layout: a valve shuts from row 600 to 900."""
@@ -42,9 +33,11 @@ def rig(tmp_path_factory):
     wrong = (np.arange(1100) >= 600) & (np.arange(1100) < 900)
     names = ["Accelerometer1RMS", "Current", "Pressure", "Temperature", "Voltage", "Volume Flow RateRMS"]
     for number, place in enumerate(("valve1/0", "valve2/0", "other/1", "other/2")):
-        rows = {"datetime": at} | table(process(1100, number, 1.5 * wrong), names)
+        rows = {"datetime": at} | dict(zip(names, process(1100, number, 1.5 * wrong).T, strict=True))
         labels = {"anomaly": wrong.astype(float), "changepoint": np.zeros(1100)}
-        write_csv(pl.DataFrame(rows | labels), folder / f"{place}.csv")
+        file = folder / f"{place}.csv"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        pl.DataFrame(rows | labels).write_csv(file, separator=";")
     return folder
 
 
@@ -62,78 +55,10 @@ def test_only_rows_after_those_learned_from_are_scored(rig, tmp_path):
     for file in skab.files(rig):
         rows = pl.read_csv(file, separator=";").with_row_index("row")
         label = pl.when(pl.col("row") < 100).then(1.0).otherwise("anomaly").alias("anomaly")
-        write_csv(rows.with_columns(label).drop("row"), folder / f"{file.parent.name}_{file.name}")
+        folder.mkdir(exist_ok=True)
+        name = f"{file.parent.name}_{file.name}"
+        rows.with_columns(label).drop("row").write_csv(folder / name, separator=";")
     assert [score.value for score in skab.run(folder).scores] == [score.value for score in skab.run(rig).scores]
-
-
-@pytest.fixture(scope="module")
-def turbines(tmp_path_factory):
-    """CARE's layout: two normal stretches, two faults that grow for a week."""
-    farm = tmp_path_factory.mktemp("data") / "care" / "Wind Farm A"
-    events, train, test = [], 3000, 1440
-    for event in range(4):
-        fault, rows = event % 2 == 1, train + test
-        begins = train + 432
-        drift = np.where(np.arange(rows) >= begins, 2.0, 0.0) if fault else 0.0
-        start = datetime(2022, 1, 1)
-        frame = pl.DataFrame(
-            {"time_stamp": [start + timedelta(minutes=10 * k) for k in range(rows)], "asset_id": 7, "id": range(rows)}
-            | {"train_test": ["train"] * train + ["prediction"] * test, "status_type_id": 0}
-            | table(process(rows, event, drift), [f"sensor_{k}_avg" for k in range(6)])
-        )
-        write_csv(frame, farm / "datasets" / f"{event}.csv")
-        label = "anomaly" if fault else "normal"
-        events.append(
-            {"asset": 7, "event_id": event, "event_label": label, "event_start_id": begins, "event_end_id": rows - 1}
-        )
-    write_csv(pl.DataFrame(events), farm / "event_info.csv")
-    return farm.parent
-
-
-def test_turbines_that_fail_are_told_from_those_that_do_not(turbines):
-    care, by_event, detected, accuracy, lead = events.CARE.run(turbines).scores
-    assert care.value > 0.9
-    assert (by_event.value, detected.value) == (1.0, 1.0)
-    assert accuracy.value > 0.95
-    assert 100.0 < lead.value < 168.0
-
-
-def test_the_care_score_of_those_who_say_nothing_and_of_those_who_always_cry():
-    """By the paper: 0 where nothing is found; the accuracy itself where it is no better than chance."""
-    silent = [events.EventScore(k % 2 == 1, False, 1.0, 0.0, 0.0, np.nan) for k in range(4)]
-    loud = [events.EventScore(k % 2 == 1, True, 0.0, 0.5, 1.0, 100.0) for k in range(4)]
-    perfect = [events.EventScore(k % 2 == 1, k % 2 == 1, 1.0, 1.0, 1.0, 100.0) for k in range(4)]
-    assert (events.care(silent), events.care(loud), events.care(perfect)) == (0.0, 0.0, 1.0)
-
-
-@pytest.fixture(scope="module")
-def substations(tmp_path_factory):
-    """PreDist's layout: one fault reported after five days of drift, one normal stretch."""
-    maker = tmp_path_factory.mktemp("data") / "predist" / "Manufacturer 1"
-    start, train, test = datetime(2021, 1, 1), 3000, 1008
-    for number in (1, 2):
-        rows = train + test
-        drift = np.where(np.arange(rows) >= train + 288, 2.0, 0.0) if number == 1 else 0.0
-        at = [f"{start + timedelta(minutes=10 * k):%Y-%m-%d %H:%M:%S}" for k in range(rows)]
-        mode = {"s_control_unit_mode": ["Tag"] * rows}
-        values = table(process(rows, number, drift), [f"sensor_{k}" for k in range(6)])
-        write_csv(
-            pl.DataFrame({"timestamp": at} | mode | values), maker / "operational_data" / f"substation_{number}.csv"
-        )
-    learned, end = (start + timedelta(minutes=10 * k) for k in (train - 1, train + test - 1))
-    training = {"Training start": [start], "Training end": [learned]}
-    fault = {"Event ID": [1], "substation ID": [1], "Report date": [end], "efd_possible": [True]}
-    normal = {"Event ID": [2], "substation ID": [2], "Event start": [learned], "Event end": [end]}
-    write_csv(pl.DataFrame(fault | training), maker / "faults.csv")
-    write_csv(pl.DataFrame(normal | training), maker / "normal_events.csv")
-    return maker.parent
-
-
-def test_a_substation_is_found_before_its_report(substations):
-    _, by_event, detected, accuracy, lead = events.PREDIST.run(substations).scores
-    assert (by_event.value, detected.value) == (1.0, 1.0)
-    assert accuracy.value > 0.95
-    assert 60.0 < lead.value < 120.0
 
 
 @pytest.mark.parametrize("leave", [None, 900.0])
