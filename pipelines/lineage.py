@@ -109,198 +109,105 @@ def upstream_tables(stage: Stage) -> set[str]:
     return tables
 
 
-def same_recipe(*tables: str, **recipe: object) -> dict[str, Recipe]:
-    """Declare tables with the same recipe."""
-    return dict.fromkeys(tables, Recipe(**recipe))  # type: ignore[arg-type]
+def declare_stage(
+    name: str, group: str, *tables: str, label: str = "", fresh: str = "", untracked: tuple[str, ...] = (),
+    batch_factor: int | None = None, **recipe: object,
+) -> Stage:  # fmt: skip
+    """Declare a stage whose tables have the same recipe: its parameters, and those of `Recipe`."""
+    of_tables = dict.fromkeys(tables, Recipe(**recipe))  # type: ignore[arg-type]
+    return Stage(name, group, of_tables, untracked, fresh, label, batch_factor)
 
 
 STAGES = (
-    Stage(
-        "raw_fleet",
-        "raw",
-        {
-            **same_recipe(
-                "raw_fleet",
-                "raw_files_deliveries",
-                "raw_files_quarantine",
-                files=("fleet", "rejected", "refused", "checks", "costs"),
-            ),
-            "raw_coverage": Recipe(files=("fleet", "type"), code=DECLARED),
-            "raw_checks": Recipe(files=("checks",)),
-            "raw_costs": Recipe(files=("costs",), code=DECLARED),
-        },
-        label="fleet list and refused files",
-    ),
-    Stage(
-        "raw_records",
-        "raw",
-        {
-            "raw_messages": Recipe(files=("messages",), code="3"),
-            "raw_maintenance": Recipe(files=("maintenance", "findings"), code="5"),
-            "raw_cases": Recipe(files=("cases",)),
-            "raw_reports": Recipe(files=("reports",)),
-            **same_recipe("raw_records_deliveries", "raw_records_quarantine", files=RECORD_FILES, code="3"),
-        },
-        untracked=("raw_fleet",),
-        label="messages and maintenance",
-    ),
-    Stage(
-        "raw",
-        "raw",
-        same_recipe(
-            "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights", files=FLIGHT_FILES, code="3"
+    Stage("raw_fleet", "raw", {
+        **dict.fromkeys(
+            ("raw_fleet", "raw_files_deliveries", "raw_files_quarantine"),
+            Recipe(files=("fleet", "rejected", "refused", "checks", "costs")),
         ),
-        untracked=("raw_fleet",),
-        fresh="raw_flights",
-        label="flights and legs",
+        "raw_coverage": Recipe(files=("fleet", "type"), code=DECLARED),
+        "raw_checks": Recipe(files=("checks",)),
+        "raw_costs": Recipe(files=("costs",), code=DECLARED),
+    }, label="fleet list and refused files"),
+    Stage("raw_records", "raw", {
+        "raw_messages": Recipe(files=("messages",), code="3"),
+        "raw_maintenance": Recipe(files=("maintenance", "findings"), code="5"),
+        "raw_cases": Recipe(files=("cases",)),
+        "raw_reports": Recipe(files=("reports",)),
+        **dict.fromkeys(("raw_records_deliveries", "raw_records_quarantine"), Recipe(files=RECORD_FILES, code="3")),
+    }, untracked=("raw_fleet",), label="messages and maintenance"),
+    declare_stage(
+        "raw", "raw", "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights",
+        files=FLIGHT_FILES, code="3", untracked=("raw_fleet",), fresh="raw_flights", label="flights and legs",
         batch_factor=1,
     ),
-    Stage(
-        "legs",
-        "legs",
-        same_recipe("legs_samples", "legs_verdicts", parents=("raw_flights",), code="3"),
-        fresh="legs_verdicts",
+    declare_stage(
+        "legs", "legs", "legs_samples", "legs_verdicts", parents=("raw_flights",), code="3", fresh="legs_verdicts",
     ),
-    Stage(
-        "calibration",
-        "calibration",
-        same_recipe(
-            "calibration_dsm",
-            "calibration_design",
-            "calibration_schedules",
-            "calibration_window",
-            parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"),
-            baseline=True,
-            code="15",
-        ),
-        label="digital system model",
+    declare_stage(
+        "calibration", "calibration",
+        "calibration_dsm", "calibration_design", "calibration_schedules", "calibration_window",
+        parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"), baseline=True,
+        code="15", label="digital system model",
     ),
-    Stage(
-        "twin_flights",
-        "twin",
-        same_recipe("twin_flights", parents=("legs_samples", "calibration_dsm"), code="5"),
-        fresh="twin_flights",
-        label="operational twins",
+    declare_stage(
+        "twin_flights", "twin", "twin_flights", parents=("legs_samples", "calibration_dsm"), code="5",
+        fresh="twin_flights", label="operational twins",
     ),
-    Stage(
-        "residuals",
-        "residuals",
-        same_recipe("residuals", parents=("twin_flights",), code="3"),
-        fresh="residuals",
+    declare_stage("residuals", "residuals", "residuals", parents=("twin_flights",), code="3", fresh="residuals"),
+    declare_stage(
+        "indicators", "features", "legs_indicators", "features_cross_checks",
+        parents=("legs_samples", "calibration_schedules"),
     ),
-    Stage(
-        "indicators",
-        "features",
-        same_recipe("legs_indicators", "features_cross_checks", parents=("legs_samples", "calibration_schedules")),
+    declare_stage(
+        "features_margin", "features", "features_margin",
+        parents=("legs_samples", "calibration_dsm", "calibration_schedules"), code="3",
     ),
-    Stage(
-        "features_margin",
-        "features",
-        same_recipe("features_margin", parents=("legs_samples", "calibration_dsm", "calibration_schedules"), code="3"),
+    declare_stage(
+        "twin_health", "twin", "twin_health", "twin_checkpoints", parents=("twin_flights", "raw_maintenance"),
+        code="13", fresh="twin_health", label="health, features, alerts",
     ),
-    Stage(
-        "twin_health",
-        "twin",
-        same_recipe("twin_health", "twin_checkpoints", parents=("twin_flights", "raw_maintenance"), code="13"),
-        fresh="twin_health",
-        label="health, features, alerts",
+    declare_stage(  # legs are admitted after the twin, which does not depend on it
+        "legs_admitted", "features", "legs_admitted",
+        parents=(
+            "twin_health", "twin_flights", "legs_indicators", "raw_messages", "raw_maintenance", "raw_reports"
+        ), code="5",
     ),
-    Stage(
-        "legs_admitted",
-        "features",  # legs are admitted after the twin, which does not depend on it
-        same_recipe(
-            "legs_admitted",
-            parents=(
-                "twin_health",
-                "twin_flights",
-                "legs_indicators",
-                "raw_messages",
-                "raw_maintenance",
-                "raw_reports",
-            ),
-            code="5",
-        ),
+    declare_stage(
+        "features", "features", "features",
+        parents=("twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance"),
+        code="8", fresh="features",
     ),
-    Stage(
-        "features",
-        "features",
-        same_recipe(
-            "features",
-            parents=("twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance"),
-            code="8",
-        ),
-        fresh="features",
+    declare_stage(
+        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="18",
     ),
-    Stage(
-        "features_alerts",
-        "features",
-        same_recipe("features_alerts", parents=("features",), settings=("limits",), code="18"),
+    declare_stage(
+        "raw_components", "raw", "raw_components", "raw_components_deliveries", "raw_components_quarantine",
+        files=("component", "recorder"), code=f"2 {DECLARED}", untracked=("raw_fleet",),
     ),
-    Stage(
-        "raw_components",
-        "raw",
-        same_recipe(
-            "raw_components",
-            "raw_components_deliveries",
-            "raw_components_quarantine",
-            files=("component", "recorder"),
-            code=f"2 {DECLARED}",
-        ),
-        untracked=("raw_fleet",),
+    declare_stage(
+        "calibration_components", "calibration", "legs_components", "calibration_components",
+        parents=("raw_components", "raw_maintenance", "raw_reports"), settings=("terms",), code=f"3 {DECLARED}",
     ),
-    Stage(
-        "calibration_components",
-        "calibration",
-        same_recipe(
-            "legs_components",
-            "calibration_components",
-            parents=("raw_components", "raw_maintenance", "raw_reports"),
-            settings=("terms",),
-            code=f"3 {DECLARED}",
-        ),
+    declare_stage(
+        "twin_components", "twin", "twin_components", "residuals_components", parents=("calibration_components",),
+        code="4",
     ),
-    Stage(
-        "twin_components",
-        "twin",
-        same_recipe("twin_components", "residuals_components", parents=("calibration_components",), code="4"),
+    declare_stage(
+        "features_components", "features", "features_components", "features_component_alerts",
+        parents=("twin_components",), settings=("limits",), code="6",
     ),
-    Stage(
-        "features_components",
-        "features",
-        same_recipe(
-            "features_components",
-            "features_component_alerts",
-            parents=("twin_components",),
-            settings=("limits",),
-            code="6",
-        ),
+    declare_stage("declared_components", "raw", "components", code=DECLARED),
+    declare_stage("prognosis_base", "prognosis", "prognosis_base", code="4", label="prognosis"),
+    declare_stage(  # a model is stored with its scored flights, so prognoses come first: a kill between costs only work
+        "prognosis", "prognosis", "prognoses", "prognosis_model", "prognosis_lives",
+        parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
+        code="9", fresh="prognoses",
     ),
-    Stage("declared_components", "raw", same_recipe("components", code=DECLARED)),
-    Stage("prognosis_base", "prognosis", same_recipe("prognosis_base", code="4"), label="prognosis"),
-    # a model is stored with its scored flights, so prognoses come first: a kill between them costs only work
-    Stage(
-        "prognosis",
-        "prognosis",
-        same_recipe(
-            "prognoses",
-            "prognosis_model",
-            "prognosis_lives",
-            parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-            code="9",
-        ),
-        fresh="prognoses",
+    declare_stage(
+        "prognoses_components", "prognosis", "prognoses_components", "prognoses_components_lives",
+        parents=("features_components", "raw_messages", "raw_maintenance"), code="2",
     ),
-    Stage(
-        "prognoses_components",
-        "prognosis",
-        same_recipe(
-            "prognoses_components",
-            "prognoses_components_lives",
-            parents=("features_components", "raw_messages", "raw_maintenance"),
-            code="2",
-        ),
-    ),
-)
+)  # fmt: skip
 
 STAGE = {stage.name: stage for stage in STAGES}
 MAKER = {table: stage for stage in STAGES for table in stage.tables}

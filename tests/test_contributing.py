@@ -86,9 +86,9 @@ def tree(tmp_path_factory) -> Path:
     replaced(top / "hdt_core/tables/__init__.py", anchor, (
         '    "flight_counts": StoredTable(raw.FlightCounts, "fleet", ("operator", "tail")),\n' + anchor
     ))  # fmt: skip
-    replaced(top / "pipelines/lineage.py", '    Stage("prognosis_base",', (
-        '    Stage("flight_counts", "raw", same_recipe("flight_counts", parents=("raw_flights",))),\n'
-        '    Stage("prognosis_base",'
+    replaced(top / "pipelines/lineage.py", '    declare_stage("prognosis_base",', (
+        '    declare_stage("flight_counts", "raw", "flight_counts", parents=("raw_flights",)),\n'
+        '    declare_stage("prognosis_base",'
     ))  # fmt: skip
     (top / "pipelines/assets/flight_counts.py").write_text(STAGE)
     (top / "sql/views/busiest.sql").write_text(VIEW)

@@ -4,7 +4,7 @@ from itertools import permutations
 
 import pytest
 
-from pipelines.lineage import STAGE, STAGES, Stage, same_recipe
+from pipelines.lineage import STAGE, STAGES, declare_stage
 from pipelines.orchestration.order import steps
 
 
@@ -43,10 +43,10 @@ def test_every_run_has_a_name():
 
 
 CHAIN = (
-    Stage("one", "any", same_recipe("raw_flights")),
-    Stage("two", "any", same_recipe("legs_samples", parents=("raw_flights",))),
-    Stage("three", "any", same_recipe("twin_health", parents=("legs_samples",))),
-    Stage("four", "any", same_recipe("calibration_dsm"), untracked=("twin_health",)),
+    declare_stage("one", "any", "raw_flights"),
+    declare_stage("two", "any", "legs_samples", parents=("raw_flights",)),
+    declare_stage("three", "any", "twin_health", parents=("legs_samples",)),
+    declare_stage("four", "any", "calibration_dsm", untracked=("twin_health",)),
 )
 
 
@@ -56,6 +56,6 @@ def test_it_does_not_matter_in_which_order_a_chain_is_declared(declared):
 
 
 def test_a_circle_is_named():
-    circle = Stage("legs", "any", same_recipe("legs_samples", parents=("residuals",)))
+    circle = declare_stage("legs", "any", "legs_samples", parents=("residuals",))
     with pytest.raises(ValueError, match="form a cycle: legs, residuals"):
-        steps([circle, Stage("residuals", "any", same_recipe("residuals", parents=("legs_samples",)))])
+        steps([circle, declare_stage("residuals", "any", "residuals", parents=("legs_samples",))])
