@@ -13,6 +13,7 @@ import textwrap
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -25,6 +26,7 @@ from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.estimation import NonlinearLeastSquares
 from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.robust import Z_90
@@ -79,7 +81,8 @@ def recursion() -> str:
     legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     cruise = cruise_samples(fleet.samples.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi"))
     free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
-    warm, cold = (flight_by_flight(cruise, COMPRESSOR, free, outputs=outputs, warm=w) for w in (True, False))
+    one_by_one = SimpleNamespace(name="nls", estimate=NonlinearLeastSquares().estimate)
+    warm, cold = (flight_by_flight(cruise, COMPRESSOR, free, outputs=outputs, estimator=e) for e in (one_by_one, None))
     apart = max(float((warm[c] / cold[c] - 1.0).abs().max()) for c in free)
     summary = (
         f"Figure 10 taken literally, {warm.height} flights and packs: {warm['n_evals'].mean():.1f} model evaluations a "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -13,7 +14,7 @@ from hdt_core.estimation.descent import Point, descend, distance_to_optimum, qua
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.fit import noise_variance
 from hdt_core.estimation.identifiability import SAFE, Identifiability, covariance_of_free
-from hdt_core.estimation.optimum_checks import Profile, better_optimum, is_nonquadratic, profile_intervals
+from hdt_core.estimation.optimum_checks import OptimumTest, Profile, check_optima, profile_intervals
 from hdt_core.estimation.problem import Array, Belief, Problem
 
 CLOSE = 5e-4  # standard deviations to the optimum of the quadratic model: half of what `converged` promises
@@ -48,6 +49,23 @@ def conclude_at(problem: Problem, point: Point, **fields: Any) -> Estimate:
     return conclude(problem, point.theta, "max_steps", point.n_evals, point=point, **fields)
 
 
+def conclude_each(problem: Problem, points: Sequence[Point], **fields: Any) -> list[Estimate]:
+    """Turn the ends of a batch's descents into estimates."""
+    singles, tests = [problem.single(b) for b in range(len(points))], dict[int, OptimumTest]()
+    finite = [b for b, point in enumerate(points) if point.objective < np.inf]
+    if finite:
+        ends = [points[b] for b in finite]
+        variances = np.array([noise_of(singles[b], points[b]) for b in finite])
+        tests = dict(zip(finite, check_optima(problem.select(np.array(finite)), ends, variances), strict=True))
+    return [conclude_at(single, points[b], test=tests.get(b), **fields) for b, single in enumerate(singles)]
+
+
+def noise_of(problem: Problem, point: Point) -> float:
+    """Compute the variance of the noise over the declared one: see `noise_variance`."""
+    n_free = int(np.count_nonzero(problem.bounds[:, 0] < problem.bounds[:, 1]))
+    return noise_variance(point.objective, problem.n_values, n_free)
+
+
 def conclude(
     problem: Problem,
     theta: Array,
@@ -57,6 +75,7 @@ def conclude(
     point: Point | None = None,
     own_objective: bool = False,
     cov: Array | None = None,
+    test: OptimumTest | None = None,
     **fields: Any,
 ) -> Estimate:
     """Turn a point into an estimate: covariance, information of the data, and status.
@@ -77,6 +96,8 @@ def conclude(
     cov : array (n, n), optional
         The method's own covariance; the inverse of data and prior information when not given. Where the residuals
         contradict the declared sigma, the data count by the variance that the residuals have.
+    test : OptimumTest, optional
+        Of the optimum; done when not given.
     fields
         Further fields of `Estimate`.
     """
@@ -87,12 +108,11 @@ def conclude(
     prior = problem.prior.information
     data = Identifiability(problem.names, point.normal - prior)
     local, determinant, distance, is_inside = assess_optimum(point.normal, point.gradient, theta, problem.bounds)
-    is_inside, is_finite, n_free = is_inside and determinant > SAFE, True, theta.size
+    is_inside, is_finite = is_inside and determinant > SAFE, True
     if not is_inside:
         local, is_finite = covariance_of_free(problem.bounds, point.normal)
         distance = distance_to_optimum(point, problem.bounds)
-        n_free = int(np.count_nonzero(problem.bounds[:, 0] < problem.bounds[:, 1]))
-    variance = noise_variance(point.objective, problem.n_values, n_free)
+    variance = noise_of(problem, point)
     status: Status = outcome
     if not own_objective and outcome != "diverged":
         near = distance <= max(CLOSE * variance**0.5, ROUNDING_DISTANCE)
@@ -102,7 +122,7 @@ def conclude(
     checks = PASSED
     is_plain = variance == 1.0 and determinant > SEPARATE and problem.n_values > VALUES_A_PARAMETER * theta.size
     if status == "converged" and not own_objective:
-        check = _check_ranges if is_plain else partial(_check_optimum, point)
+        check = _check_ranges if is_plain else partial(_check_optimum, point, test)
         checks = check(problem, local, variance)
         status = checks.status
     if status in ("converged", "approximate") and not is_inside:
@@ -139,16 +159,14 @@ class _Checks:
 PASSED = _Checks("converged")
 
 
-def _check_optimum(point: Point, problem: Problem, cov: Array, variance: float) -> _Checks:
+def _check_optimum(point: Point, test: OptimumTest | None, problem: Problem, cov: Array, variance: float) -> _Checks:
     """Search for a better optimum where noise does not explain the misfit, and profile the likelihood where curvature
     may not describe it."""
-    passes = 0
-    if variance > 1.0:
-        better, passes = better_optimum(problem, point, variance)
-        if better is not None:
-            return _Checks("local_optimum", passes, better=better.theta)
-    passes += 2 * point.theta.size
-    if not is_nonquadratic(problem, point, variance):
+    test = check_optima(problem, [point], np.array([variance]))[0] if test is None else test
+    if test.better is not None:
+        return _Checks("local_optimum", test.n_evals, better=test.better.theta)
+    passes = test.n_evals + 2 * point.theta.size
+    if not test.is_bent:
         return _check_ranges(problem, cov, variance, passes)
     profile = profile_intervals(problem, point, cov, variance)
     status: Status = "weakly_identifiable" if profile.without_limit else "converged"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -10,6 +11,9 @@ from scipy.optimize import lsq_linear
 from hdt_core.estimation.damped import FIRST_DAMPING, MOST_DAMPING, damped_step, is_exhausted, is_settled, next_damping
 from hdt_core.estimation.identifiability import SINGULAR
 from hdt_core.estimation.problem import Array, Problem
+
+TINY = float(np.finfo(float).tiny)
+Weigh = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +42,69 @@ class Point:
 
 def quadratic_model(problem: Problem, theta: Array, n_evals: int = 0) -> Point:
     """Compute the objective and its quadratic model about `theta` (n,), after `n_evals` passes."""
-    residual, slope = problem.residual(theta).ravel(), problem.sensitivity(theta)
+    cost, gradient, normal = linearise(problem, theta[None])
+    return Point(theta, float(cost[0]), gradient[0], normal[0], n_evals + 1 + 2 * theta.size)
+
+
+def linearise(problem: Problem, theta: Array, weigh: Weigh | None = None) -> tuple[Array, Array, Array]:
+    """Compute the objective (b,), half its gradient (b, n) and the normal matrix (b, n, n) at `theta` (b, n).
+
+    `weigh` gives the weight of each residual (k, m), which is over its standard deviation.
+    """
+    at = theta[0] if problem.group is None else theta
+    residual, slope = problem.residual(at), problem.sensitivity(at)
+    slope = slope.reshape(*residual.shape, theta.shape[1])
     deviation, information = theta - problem.prior.mean, problem.prior.information
     with np.errstate(over="ignore", invalid="ignore"):
-        cost = float(residual @ residual + deviation @ information @ deviation)
-        gradient, normal = slope.T @ residual + information @ deviation, slope.T @ slope + information
-    return Point(theta, cost, gradient, normal, n_evals + 1 + 2 * theta.size)
+        weighted = slope if weigh is None else weigh(residual)[..., None] * slope
+        cost = problem.sum_each(np.einsum("km,km->k", residual, residual))
+        gradient = problem.sum_each(np.einsum("kmi,km->ki", weighted, residual))
+        normal = problem.sum_each(np.einsum("kmi,kmj->kij", weighted, slope))
+        pull = deviation @ information
+        return cost + np.einsum("bi,bi->b", pull, deviation), gradient + pull, normal + information
+
+
+def gauss_newton(problem: Problem, origin: Array, steps: int, weigh: Weigh) -> tuple[Array, Array]:
+    """Take reweighted steps of Gauss and Newton from `origin` (b, n): estimates (b, n), covariances (b, n, n)."""
+    theta = origin
+    for _ in range(steps):
+        _, gradient, normal = linearise(problem, theta, weigh)
+        cov = np.asarray(np.linalg.inv(normal), float)
+        theta = np.clip(theta - np.einsum("bij,bj->bi", cov, gradient), *problem.bounds.T)
+    return theta, cov
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Descent of one problem of a batch: the point reached, the trial beyond it, and the damping."""
+
+    number: int
+    point: Point
+    n_values: int
+    size: Array
+    trial: Array
+    damping: float = FIRST_DAMPING
+    growth: float = 2.0
+    predicted_reduction: float = 0.0
+    is_better: bool = True
+    goes_on: bool = True
+
+    def propose(self, bounds: Array) -> None:
+        """Compute the next trial; where it is the last, take it untried."""
+        point, self.size = self.point, np.maximum(self.size, np.sqrt(np.diag(self.point.normal)))
+        quadratic = (point.normal, point.gradient, self.size, self.damping, point.theta)
+        step, self.predicted_reduction = damped_step(*quadratic, bounds[:, 0], bounds[:, 1])
+        self.trial = point.theta + step
+        if is_settled(self.predicted_reduction, point.objective, max(self.n_values, 1)):
+            self.point, self.goes_on = replace(point, theta=self.trial), False
+
+    def judge(self, objective: float) -> None:
+        """Compare the trial's objective with the point's, and update the damping."""
+        reduction, before = self.point.objective - objective, self.point.objective
+        self.point = replace(self.point, n_evals=self.point.n_evals + 1)
+        self.damping, self.growth = next_damping(self.damping, self.growth, reduction, self.predicted_reduction)
+        is_over = is_exhausted(self.predicted_reduction, reduction, before) or self.damping > MOST_DAMPING
+        self.is_better, self.goes_on = reduction > 0.0, not is_over
 
 
 def descend(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int = 0) -> Point:
@@ -51,29 +112,55 @@ def descend(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int 
 
     Where the model fails at `origin`, it stays there and its objective is infinite.
     """
-    lower, upper = problem.bounds[:, 0], problem.bounds[:, 1]
-    cost = float(problem.objective(origin[None])[0])
-    if not np.isfinite(cost):
-        n = origin.size
-        return Point(origin, np.inf, np.full(n, np.nan), np.full((n, n), np.nan), n_evals + 1)
-    point = quadratic_model(problem, origin, n_evals)
-    evals, size = point.n_evals, np.full(origin.size, np.finfo(float).tiny)
-    damping, growth = FIRST_DAMPING, 2.0
+    return descend_each(problem, origin[None], max_steps, n_evals)[0]
+
+
+def descend_each(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int = 0) -> list[Point]:
+    """Minimise the objective of each problem of a batch, side by side, from its row of `origin` (b, n)."""
+    n, nothing = origin.shape[1], np.full((origin.shape[1],) * 2, np.nan)
+    n_values = problem.sum_each(np.count_nonzero(~np.isnan(problem.measured), axis=1)).tolist()
+    walks = [
+        _Walk(b, Point(theta, np.inf, nothing[0], nothing, n_evals), n_values[b], np.full(n, TINY), theta)
+        for b, theta in enumerate(origin)
+    ]
+    is_finite = np.isfinite(_objectives(problem, walks))
+    for b in np.flatnonzero(~is_finite):
+        walks[b].point = replace(walks[b].point, n_evals=n_evals + 1)
+    live = [walks[b] for b in np.flatnonzero(is_finite)]
+    _linearise_trials(problem, live)
     for _ in range(max_steps):
-        size = np.maximum(size, np.sqrt(np.diag(point.normal)))
-        step, predicted_reduction = damped_step(point.normal, point.gradient, size, damping, point.theta, lower, upper)
-        trial = point.theta + step
-        if is_settled(predicted_reduction, point.objective, max(problem.n_values, 1)):
-            return Point(trial, point.objective, point.gradient, point.normal, evals)
-        reduction = point.objective - float(problem.objective(trial[None])[0])
-        evals += 1
-        damping, growth = next_damping(damping, growth, reduction, predicted_reduction)
-        if reduction > 0.0:
-            point = quadratic_model(problem, trial, evals)
-            evals = point.n_evals
-        if is_exhausted(predicted_reduction, reduction, point.objective) or damping > MOST_DAMPING:
+        for walk in live:
+            walk.propose(problem.bounds)
+        live = [walk for walk in live if walk.goes_on]
+        for walk, objective in zip(live, _objectives(problem, live), strict=True):
+            walk.judge(float(objective))
+        _linearise_trials(problem, [walk for walk in live if walk.is_better])
+        live = [walk for walk in live if walk.goes_on]
+        if not live:
             break
-    return Point(point.theta, point.objective, point.gradient, point.normal, evals)
+    return [walk.point for walk in walks]
+
+
+def _objectives(problem: Problem, walks: list[_Walk]) -> Array:
+    """Compute the objective of each trial. (walks,)"""
+    if not walks:
+        return np.empty(0)
+    part, trials = _trials(problem, walks)
+    objectives: Array = part.objective_each(trials[None])[0]
+    return objectives
+
+
+def _linearise_trials(problem: Problem, walks: list[_Walk]) -> None:
+    """Move walks to their trials, with the quadratic model there."""
+    if walks:
+        part, trials = _trials(problem, walks)
+        for walk, *model in zip(walks, *linearise(part, trials), strict=True):
+            spent = walk.point.n_evals + 1 + 2 * walk.trial.size
+            walk.point = Point(walk.trial, float(model[0]), model[1], model[2], spent)
+
+
+def _trials(problem: Problem, walks: list[_Walk]) -> tuple[Problem, Array]:
+    return problem.select(np.array([walk.number for walk in walks])), np.array([walk.trial for walk in walks])
 
 
 def distance_to_optimum(point: Point, bounds: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -137,6 +138,23 @@ class Estimator(Protocol):
     def estimate(self, problem: Problem) -> Estimate:
         """Estimate the problem's parameters."""
         ...
+
+
+def estimate_each(method: Estimator, problem: Problem) -> list[Estimate]:
+    """Estimate each problem of a batch: side by side where the method has an `estimate_each`, else one by one.
+
+    One by one, parameters without a prior start from the last estimate that converged: a start and no prior.
+    """
+    together: Callable[[Problem], list[Estimate]] | None = getattr(method, "estimate_each", None)
+    if together is not None:
+        return together(problem)
+    prior, estimates = problem.prior, list[Estimate]()
+    for b in range(problem.n_problems):
+        estimates.append(method.estimate(problem.single(b).with_prior(prior)))
+        if estimates[-1].status == "converged":
+            mean = np.where(np.isinf(prior.sd), estimates[-1].belief.mean, prior.mean)
+            prior = Belief(mean, prior.cov)
+    return estimates
 
 
 def _report(estimate: Estimate) -> str:

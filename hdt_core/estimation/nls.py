@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hdt_core.estimation.conclude import conclude_at
-from hdt_core.estimation.descent import Point, descend
+import numpy as np
+
+from hdt_core.estimation.conclude import conclude_at, conclude_each
+from hdt_core.estimation.descent import Point, descend, descend_each
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Problem
 
@@ -31,3 +33,8 @@ class NonlinearLeastSquares:
         start = (problem.origin, *problem.bounds.T, prior.mean, prior.information)
         point = Point(*problem.kernels.least_squares(*start, self.max_steps))
         return conclude_at(problem, point, method=self.name)
+
+    def estimate_each(self, problem: Problem) -> list[Estimate]:
+        """Estimate each problem of a batch, all side by side."""
+        origin = np.tile(problem.origin, (problem.n_problems, 1))
+        return conclude_each(problem, descend_each(problem, origin, self.max_steps), method=self.name)

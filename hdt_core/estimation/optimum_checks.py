@@ -6,12 +6,14 @@ principal axes that the quadratic model does not predict.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import qmc
 
-from hdt_core.estimation.descent import Point, descend
+from hdt_core.estimation.descent import Point, descend, descend_each
 from hdt_core.estimation.problem import Array, Problem
 
 LEADERS, MORE_STEPS = 4, 60  # of the search: descents, and steps of each
@@ -19,6 +21,8 @@ BETTER = 1e-4  # of the noise's variance: an objective lower by less is the same
 REACH = 2.0  # standard deviations at which the quadratic model is tested
 RATIO = 2.0  # of the rise to the predicted one, or its inverse, from which the model fails the test
 RISE = 3.841459  # of the objective at the ends of a 95 % interval of one parameter
+AT_ONCE = 64  # problems of a batch that are searched together
+MODEL = ("theta", "gradient", "normal")
 STRETCHES = 12  # at most, to the end of an interval
 
 
@@ -55,26 +59,57 @@ class Profile:
         return tuple(name for name, ends in zip(self.names, self.open, strict=True) if ends.any())
 
 
-def better_optimum(problem: Problem, optimum: Point, variance: float) -> tuple[Point | None, int]:
-    """Search the box for an optimum below `at`; return it or None, and the passes.
+@dataclass(frozen=True, slots=True)
+class OptimumTest:
+    """Whether the likelihood departs from its curvature about an optimum, a better optimum, and its search's passes."""
 
-    Half the points fill the box evenly, half lie about `at` at other orders of magnitude; the best few descend.
+    is_bent: bool
+    better: Point | None = None
+    n_evals: int = 0
+
+
+def check_optima(problem: Problem, optima: Sequence[Point], variances: Array) -> list[OptimumTest]:
+    """Test the optimum of each problem of a batch: its curvature; where noise does not explain the misfit, the box.
+
+    Parameters
+    ----------
+    variances : array (b,)
+        Of the noise over the declared one.
+    """
+    tests = list(map(OptimumTest, is_nonquadratic(problem, optima, variances).tolist()))
+    misfits = np.flatnonzero(variances > 1.0)
+    for numbers in np.split(misfits, range(AT_ONCE, len(misfits), AT_ONCE)):
+        ends = better_optima(problem.select(numbers), [optima[b] for b in numbers]) if len(numbers) else []
+        for b, (end, n_evals) in zip(numbers, ends, strict=True):
+            is_better = optima[b].objective - end.objective > _worth(float(variances[b]))
+            tests[b] = replace(tests[b], better=end if is_better else None, n_evals=n_evals)
+    return tests
+
+
+def better_optima(problem: Problem, optima: Sequence[Point]) -> list[tuple[Point, int]]:
+    """Search the box of each problem of a batch for an optimum below its own; return the lowest point, and the passes.
+
+    Half the points fill the box evenly, half lie about the optimum at other orders of magnitude; the best few descend.
     """
     free = problem.bounds[:, 0] < problem.bounds[:, 1]
     lower, upper = problem.search_box
     power = 6 + min(int(free.sum()).bit_length() - 1, 3)
-    unit, n = qmc.Sobol(free.size, rng=np.random.default_rng(0)).random_base2(power), 2**power
-    cloud = lower + (upper - lower) * unit
-    cloud[::2] = np.clip(optimum.theta * 10.0 ** (2.0 * unit[::2] - 1.0), *problem.bounds.T)
-    cloud[:, ~free] = problem.origin[~free]
-    objectives = problem.objective(cloud)
-    best, n_evals = optimum, n
-    for start in _distinct_points(cloud, objectives, upper - lower):
-        end = descend(problem, start, MORE_STEPS)
-        n_evals += end.n_evals
-        best = end if end.objective < best.objective else best
-    gain = optimum.objective - best.objective
-    return (best if gain > _worth(variance) else None), n_evals
+    unit = qmc.Sobol(free.size, rng=np.random.default_rng(0)).random_base2(power)[:, None]
+    theta = np.array([at.theta for at in optima])
+    cloud = np.repeat(lower + (upper - lower) * unit, len(optima), axis=1)
+    cloud[::2] = np.clip(theta * 10.0 ** (2.0 * unit[::2] - 1.0), *problem.bounds.T)
+    cloud[:, :, ~free] = problem.origin[~free]
+    objectives = problem.objective_each(cloud)
+    starts = [_distinct_points(cloud[:, b], objectives[:, b], upper - lower) for b in range(len(optima))]
+    ends = [(at, len(cloud)) for at in optima]
+    for rank in range(LEADERS):
+        numbers = np.array([b for b, points in enumerate(starts) if len(points) > rank], int)
+        origin = np.array([starts[b][rank] for b in numbers])
+        points = descend_each(problem.select(numbers), origin, MORE_STEPS) if len(numbers) else []
+        for b, end in zip(numbers, points, strict=True):
+            best, n_evals = ends[b]
+            ends[b] = (end if end.objective < best.objective else best, n_evals + end.n_evals)
+    return ends
 
 
 def _worth(variance: float) -> float:
@@ -94,30 +129,30 @@ def _distinct_points(cloud: Array, objectives: Array, width: Array) -> Array:
     return cloud[rows]
 
 
-def is_nonquadratic(problem: Problem, optimum: Point, variance: float) -> bool:
-    """Check whether the objective at two standard deviations along the principal axes departs from its curvature's
-    prediction, or a parameter without a prior may lie beyond its bound."""
+def is_nonquadratic(problem: Problem, optima: Sequence[Point], variances: Array) -> npt.NDArray[np.bool_]:
+    """Check whether the objective of each problem of a batch, at two standard deviations along the principal axes,
+    departs from its curvature's prediction, or a parameter without a prior may lie beyond its bound. (b,)"""
     free = np.flatnonzero(problem.bounds[:, 0] < problem.bounds[:, 1])
-    normal = optimum.normal[np.ix_(free, free)]
-    size = np.sqrt(np.maximum(normal.diagonal(), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
-    if not values[0] > 0.0:
-        return True
-    steps = REACH * np.sqrt(variance) * (vectors / np.sqrt(values)).T / size
-    ends = np.tile(optimum.theta, (2 * free.size, 1))
-    ends[:, free] += np.concatenate([steps, -steps])
-    reach = REACH * np.sqrt(variance * np.sum((vectors / size[:, None]) ** 2 / values, axis=1))
+    theta, gradient, full_normal = (np.array([getattr(at, name) for at in optima]) for name in MODEL)
+    normal = full_normal[:, free[:, None], free]
+    size = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(normal / (size[:, :, None] * size[:, None, :]))
+    is_singular = ~(values[:, 0] > 0.0)
+    values = np.where(is_singular[:, None], 1.0, values)
+    deviation = np.sqrt(variances)[:, None, None] * (vectors / np.sqrt(values)[:, None, :]) / size[:, :, None]
+    reach = REACH * np.sqrt((deviation**2).sum(axis=2))
     lower, upper = problem.bounds[free].T
-    is_beyond = (optimum.theta[free] - reach < lower) | (optimum.theta[free] + reach > upper)
-    if (is_beyond & np.isinf(problem.prior.sd[free])).any():
-        return True
-    ends = np.clip(ends, *problem.bounds.T)
-    change = ends - optimum.theta
-    predicted_rise = 2.0 * change @ optimum.gradient + np.einsum("pi,ij,pj->p", change, optimum.normal, change)
-    rise = problem.objective(ends) - optimum.objective
-    is_testable = predicted_rise > 0.1 * REACH**2 * variance  # an end cut short by a bound is no test
-    ratio = rise[is_testable] / predicted_rise[is_testable]
-    return bool(((ratio < 1.0 / RATIO) | (ratio > RATIO)).any())
+    is_beyond = (theta[:, free] - reach < lower) | (theta[:, free] + reach > upper)
+    change = np.zeros((2 * free.size, *theta.shape))
+    change[:, :, free] = REACH * np.concatenate([np.moveaxis(deviation, 2, 0), -np.moveaxis(deviation, 2, 0)])
+    change = np.clip(theta + change, *problem.bounds.T) - theta
+    predicted_rise = 2.0 * np.einsum("pbi,bi->pb", change, gradient)
+    predicted_rise += np.einsum("pbi,bij,pbj->pb", change, full_normal, change)
+    rise = problem.objective_each(theta + change) - np.array([at.objective for at in optima])
+    is_testable = predicted_rise > 0.1 * REACH**2 * variances  # an end cut short by a bound is no test
+    ratio = rise / np.where(is_testable, predicted_rise, 1.0)
+    is_off = is_testable & ((ratio < 1.0 / RATIO) | (ratio > RATIO))
+    return np.asarray(is_singular | (is_beyond & np.isinf(problem.prior.sd[free])).any(axis=1) | is_off.any(axis=0))
 
 
 def profile_intervals(problem: Problem, optimum: Point, cov: Array, variance: float = 1.0) -> Profile:

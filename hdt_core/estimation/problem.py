@@ -11,7 +11,8 @@ import numpy.typing as npt
 from scipy.special import ndtri
 
 Array = npt.NDArray[np.float64]
-Sample = int | npt.NDArray[np.int64]
+Integers = npt.NDArray[np.int64]
+Sample = int | Integers
 Observe = Callable[[Array, Array, Sample], Array]
 Transition = Callable[[Array, Array, Sample], Array]
 
@@ -115,6 +116,10 @@ class Problem:
         The same in two half steps, for the error that the step leaves in an estimate.
     kernels : Kernels, optional
         Compiled equivalents of the above.
+    group : array (k,) of int, optional
+        Batch axis: the record is that of b problems of one model without states, each sample that of the problem of
+        this number; numbers count from 0 without gaps and ascend. Parameters are then arrays (b, n), and what is one
+        number for a problem is an array (b,).
     """
 
     names: tuple[str, ...]
@@ -129,9 +134,12 @@ class Problem:
     drift: Array | None = None
     half_steps: Transition | None = None
     kernels: Kernels | None = None
+    group: Integers | None = None
 
     def __post_init__(self) -> None:
         n = len(self.names)
+        if self.group is not None and (self.transition is not None or self.group.shape != (len(self.measured),)):
+            raise ValueError("a batch is of models without states, and every sample names its problem")
         if self.bounds.shape != (n, 2) or self.prior.mean.shape != (n,) or self.prior.cov.shape != (n, n):
             raise ValueError(f"{n} names, but bounds {self.bounds.shape} and a prior of {self.prior.mean.shape}")
         if self.measured.ndim != 2 or self.measured.shape[1:] != self.sigma.shape:
@@ -163,17 +171,58 @@ class Problem:
         """Number of measured values that are not missing."""
         return int(np.count_nonzero(~np.isnan(self.measured)))
 
+    @cached_property
+    def first(self) -> Integers:
+        """First row of every problem of the batch. (b,)"""
+        if self.group is None:
+            return np.zeros(1, np.int64)
+        return np.searchsorted(self.group, np.arange(self.group[-1] + 1 if len(self.group) else 0))
+
+    @property
+    def n_problems(self) -> int:
+        """Number of problems in the batch, 1 where it is none."""
+        return len(self.first)
+
+    def sum_each(self, values: Array) -> Array:
+        """Sum values of every sample over those of each problem: (k, ...) to (b, ...)."""
+        return np.asarray(values.sum(axis=0)[None] if self.group is None else np.add.reduceat(values, self.first))
+
+    def select(self, problems: Integers) -> Problem:
+        """Return the batch of these problems (numbers, ascending) alone."""
+        if self.group is None or len(problems) == self.n_problems:
+            return self
+        is_among = np.zeros(self.n_problems, bool)
+        is_among[problems] = True
+        rows = np.flatnonzero(is_among[self.group])
+        return self._rows(rows, (np.cumsum(is_among) - 1)[self.group[rows]])
+
+    def single(self, number: int) -> Problem:
+        """Return one problem of the batch by itself."""
+        if self.group is None:
+            return self
+        return self._rows(np.arange(*np.searchsorted(self.group, [number, number + 1])), None)
+
+    def _rows(self, rows: Integers, group: Integers | None) -> Problem:
+        def observe(x: Array, theta: Array, i: Sample) -> Array:
+            return self.observe(x, theta, rows[i])
+
+        return replace(self, measured=self.measured[rows], observe=observe, group=group)
+
     def simulate(self, theta: Array) -> Array:
-        """Simulate outputs without noise from the mean start: theta (n,) to (k, m), (p, n) to (p, k, m)."""
-        thetas = np.atleast_2d(theta)
+        """Simulate outputs without noise from the mean start: theta (n,) to (k, m), (p, n) to (p, k, m).
+
+        Of a batch (b, n) to (k, m), (p, b, n) to (p, k, m).
+        """
+        thetas = theta[None] if np.ndim(theta) == (1 if self.group is None else 2) else theta
         outputs = self._simulate(thetas) if self.kernels is None else self.kernels.simulate(thetas)
-        return outputs if np.ndim(theta) == 2 else outputs[0]
+        return outputs if thetas is theta else outputs[0]
 
     def _simulate(self, thetas: Array) -> Array:
         n_samples, n_outputs = self.measured.shape
         if self.transition is None:
             nothing = np.empty((0, 1, 1))
-            outputs = np.asarray(self.observe(nothing, thetas.T[:, :, None], np.arange(n_samples)))
+            of_sample = thetas.T[:, :, None] if self.group is None else np.moveaxis(thetas[:, self.group], -1, 0)
+            outputs = np.asarray(self.observe(nothing, of_sample, np.arange(n_samples)))
             return np.broadcast_to(outputs, (n_outputs, len(thetas), n_samples)).transpose(1, 2, 0)
         x = np.repeat(self.start.mean[:, None], len(thetas), axis=1)
         outputs = np.empty((len(thetas), n_samples, n_outputs))
@@ -190,20 +239,30 @@ class Problem:
         return np.where(np.isnan(self.measured), 0.0, np.where(np.isfinite(residual), residual, np.inf))
 
     def chi2(self, thetas: Array) -> Array:
-        """Compute the weighted sum of squares of every row of `thetas` (p, n): (p,). Infinite where the model fails."""
+        """Compute the weighted sum of squares of every row of `thetas` (p, n): (p,). Infinite where the model fails.
+
+        Of a batch (p, b, n) to (p, b).
+        """
         if self.kernels is not None:
             return self.kernels.chi2(thetas)
         with np.errstate(all="ignore"):
             missing = np.isnan(self.measured)
             residual = np.where(missing, 0.0, (self.simulate(thetas) - self.measured) / self.sigma)
-            total = np.einsum("pkm,pkm->p", residual, residual)
+            if self.group is None:
+                total = np.einsum("pkm,pkm->p", residual, residual)
+            else:
+                total = np.add.reduceat(np.einsum("pkm,pkm->pk", residual, residual), self.first, axis=1)
         return np.where(np.isfinite(total), total, np.inf)
 
     def objective(self, thetas: Array) -> Array:
         """Compute twice the negative log posterior of every row of `thetas` (p, n): chi2 plus the prior's distance."""
         deviation = thetas - self.prior.mean
-        distance: Array = np.einsum("pi,ij,pj->p", deviation, self.prior.information, deviation)
+        distance: Array = np.einsum("...i,ij,...j->...", deviation, self.prior.information, deviation)
         return self.chi2(thetas) + distance
+
+    def objective_each(self, thetas: Array) -> Array:
+        """Compute the objective of each problem of a batch, of one where this is none: (p, b, n) to (p, b)."""
+        return self.objective(thetas[:, 0])[:, None] if self.group is None else self.objective(thetas)
 
     def sensitivity(self, theta: Array) -> Array:
         """Compute d residual / d theta by central differences kept inside the bounds, (k * m, n)."""
@@ -211,17 +270,19 @@ class Problem:
             slope = self.kernels.sensitivity(theta) / self.sigma[:, None]
         else:
             slope = self._differences(theta)
-        return np.where(np.isnan(self.measured)[..., None], 0.0, slope).reshape(-1, theta.size)
+        return np.where(np.isnan(self.measured)[..., None], 0.0, slope).reshape(-1, theta.shape[-1])
 
     def _differences(self, theta: Array) -> Array:
-        step = np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(theta), _scale(self))
+        n, step = theta.shape[-1], np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(theta), _scale(self))
         above = np.minimum(theta + step, self.bounds[:, 1])
         below = np.maximum(theta - step, self.bounds[:, 0])
-        ends = np.concatenate([theta + np.diag(above - theta), theta + np.diag(below - theta)])
+        units = np.eye(n).reshape(n, *(1,) * (theta.ndim - 1), n)
+        ends = np.concatenate([theta + units * (above - theta), theta + units * (below - theta)])
         with np.errstate(all="ignore"):
             outputs = self.simulate(ends)
-            width = np.where(above > below, above - below, np.inf)
-            slope = (outputs[: theta.size] - outputs[theta.size :]) / width[:, None, None] / self.sigma
+            width = np.moveaxis(np.where(above > below, above - below, np.inf), -1, 0)
+            width = width[:, None, None] if self.group is None else width[:, self.group, None]
+            slope = (outputs[:n] - outputs[n:]) / width / self.sigma
         return np.nan_to_num(np.moveaxis(slope, 0, -1), nan=0.0, posinf=1e150, neginf=-1e150)
 
     def with_prior(self, prior: Belief) -> Problem:

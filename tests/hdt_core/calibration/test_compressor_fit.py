@@ -1,11 +1,14 @@
 """Equation (6), the group and the inlet recovered from records whose truth is known; Figure 10 against closed form."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import polars as pl
 import pytest
 
 from hdt_core.calibration.compressor import compressor_samples, probe_corrections
 from hdt_core.calibration.compressor_fit import BLADE_ANGLE_RAD, HUB_RATIO, fit_compressor, inlet_geometry
+from hdt_core.estimation import NonlinearLeastSquares
 from hdt_core.physics.compressor import COMPRESSOR, group_at_m3, inlet_flow_kg_s
 from hdt_core.records.keys import PACK
 from hdt_core.tracking.sequential import flight_by_flight
@@ -115,10 +118,11 @@ def test_inlet_keeps_the_group_and_gives_the_prior_back():
     assert area_sd / area == pytest.approx(2.0 / 3.0 * 0.110, rel=0.01)
 
 
-def test_flight_by_flight_ends_where_a_cold_start_and_the_closed_form_end(fleet, fleets):
+def test_flights_side_by_side_end_where_one_by_one_and_the_closed_form_end(fleet, fleets):
     samples = fleets.group_flow(fleet.only("T-00").samples)
     free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
-    warm, cold = (flight_by_flight(samples, COMPRESSOR, free, outputs=outputs, warm=w) for w in (True, False))
+    one_by_one = SimpleNamespace(name="nls", estimate=NonlinearLeastSquares().estimate)
+    warm, cold = (flight_by_flight(samples, COMPRESSOR, free, outputs=outputs, estimator=e) for e in (one_by_one, None))
     assert set(warm["status"]) == {"converged"}
     for column in free:
         np.testing.assert_allclose(warm[column], cold[column], rtol=1e-6)

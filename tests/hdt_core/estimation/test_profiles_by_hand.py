@@ -14,7 +14,9 @@ from hdt_core.estimation.optimum_checks import (
     _crossing,
     _distinct_points,
     _refit_fixed,
-    better_optimum,
+    _worth,
+    better_optima,
+    check_optima,
     is_nonquadratic,
     profile_intervals,
 )
@@ -46,7 +48,7 @@ def bend(c, bounds=(-np.inf, np.inf), prior=None):
 )  # fmt: skip
 def test_a_likelihood_is_bent_from_half_or_twice_what_curvature_foresees(c, bounds, variance, has_prior, bent):
     problem, at = bend(c, bounds, Belief(np.zeros(1), np.array([[1e6]])) if has_prior else None)
-    assert is_nonquadratic(problem, at, variance) is bent
+    assert is_nonquadratic(problem, [at], np.array([variance])).tolist() == [bent]
 
 
 def test_a_bend_beside_a_held_parameter_and_along_principal_axes():
@@ -59,8 +61,8 @@ def test_a_bend_beside_a_held_parameter_and_along_principal_axes():
         lambda _x, t, i: np.where(np.asarray(i) == 0, t[0] + t[2] + 0.1 * t[2] ** 3, 2.0 * t[2])[None],
     )
     at = Point(np.array([0.0, 3.0, 0.0]), 0.0, np.zeros(3), np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 5.0]]))
-    assert not is_nonquadratic(pair, at, 1.0)
-    assert is_nonquadratic(pair, replace(at, normal=np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 1.0]])), 1.0)
+    assert not is_nonquadratic(pair, [at], np.ones(1))
+    assert is_nonquadratic(pair, [replace(at, normal=np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 1.0]]))], np.ones(1))
 
 
 def line(cloud=None, **more) -> Problem:
@@ -148,11 +150,12 @@ def test_the_end_of_an_interval_is_met_by_false_position(monkeypatch, rise, sign
 def test_descents_of_the_checks_have_sixty_steps_and_refits_twenty_five(monkeypatch):
     most: list = []
     problem, at = line(), descend(line(), np.zeros(2))
-    monkeypatch.setattr(
-        optimum_checks, "descend", lambda p, start, steps, *spent: (most.append((steps, *spent)), at)[1]
-    )
+    for name, answer in (("descend", at), ("descend_each", [at])):
+        monkeypatch.setattr(
+            optimum_checks, name, lambda p, start, steps, *spent, a=answer: (most.append((steps, *spent)), a)[1]
+        )
     _refit_fixed(problem, at, 1, 0.7)
-    better_optimum(problem, at, 1.0)
+    better_optima(problem, [at])
     assert most == [(25, 2)] + [(60,)] * 4
 
 
@@ -196,17 +199,20 @@ def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():
     problem = line(cloud, bounds=bounds, prior=unknown(np.array([1.0, 0.0])))
     at = Point(np.array([1.0, 0.5]), float(problem.objective(np.array([[1.0, 0.5]]))[0]), np.zeros(2), np.eye(2))
     cloud.clear()
-    better, spent = better_optimum(problem, at, 1.0)
+    (better, spent), *others = better_optima(problem, [at])
     unit = qmc.Sobol(2, rng=np.random.default_rng(0)).random_base2(7)
     starts = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * unit
     starts[::2] = at.theta * 10.0 ** (2.0 * unit[::2] - 1.0)
     np.testing.assert_allclose(cloud[0][:, :, 0].T, np.clip(starts, *bounds.T), rtol=1e-12)
-    assert better is None
-    assert spent > 128 + 4 * 5
+    assert better.objective == pytest.approx(at.objective)
+    assert (spent > 128 + 4 * 5, others) == (True, [])
+
+    def has_better(gap: float) -> bool:
+        return check_optima(problem, [replace(at, objective=gap)], np.array([1.0 + 1e-9]))[0].better is not None
+
     for gap, is_better in ((0.9e-4, False), (1e-4, False), (1.1e-4, True)):
-        assert (better_optimum(problem, replace(at, objective=gap), 1.0)[0] is not None) is is_better
-    for gap, is_better in ((0.9e-6, False), (1.1e-6, True)):
-        assert (better_optimum(problem, replace(at, objective=gap), 1e-9)[0] is not None) is is_better
+        assert has_better(gap) is is_better
+    assert _worth(1e-9) == 1e-6
     for n, points in ((1, 64), (3, 128), (4, 256), (8, 512), (16, 512)):
         tried: list = []
         many = Problem(
@@ -217,7 +223,7 @@ def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():
             np.ones(1),
             lambda _x, t, i, tried=tried: (tried.append(t), (t * t).sum(axis=0) + 0.0 * i)[1][None],
         )
-        better_optimum(many, Point(np.full(n + 1, 0.5), 1.0, np.zeros(n + 1), np.eye(n + 1)), 1.0)
+        better_optima(many, [Point(np.full(n + 1, 0.5), 1.0, np.zeros(n + 1), np.eye(n + 1))])
         assert tried[0].shape[1] == points
         assert (tried[0][n] == 0.5).all()
 

@@ -65,9 +65,6 @@ def test_a_flight_of_three_samples_speaks_from_where_the_last_one_ended():
     assert starts == pytest.approx([0.4, 0.1, 0.1, 0.3])  # the middle of the bounds, then where one converged
     assert result["status"].to_list() == ["converged", "max_steps"] * 2
     assert result.select("pmp_loss", "pmp_loss_sd", "n_evals").row(3) == pytest.approx((0.4, 0.01, 7))
-    starts.clear()
-    flight_by_flight(short, PUMP, ["pmp_loss"], estimator=SimpleNamespace(name="x", estimate=estimate), warm=False)
-    assert starts == pytest.approx([0.4] * 4)
     assert (MIN_SAMPLES, recorded_outputs(PUMP, rows)) == (3, ["lift"])
 
 
