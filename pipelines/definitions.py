@@ -7,8 +7,8 @@ from typing import Any
 import dagster as dg
 
 from dagster_batched.instance import batch_events
-from pipelines.assets.automation import SENSORS
-from pipelines.assets.location import asset_definitions
+from pipelines.assets import asset_definitions
+from pipelines.assets.stage import SENSORS
 from pipelines.orchestration.jobs import every_night, landing_zone, nightly
 from pipelines.storage.files import narrow_umask
 

@@ -1,14 +1,14 @@
 """Declare every stage of the chain once: its tables, their parents and the version of the code.
 
-The order of runs (`pipelines.orchestration.order`), what is stale (`pipelines.versions`) and Dagster's graph
+The order of runs (`pipelines.lineage`), what is stale (`pipelines.versions`) and Dagster's graph
 (`pipelines.assets`) follow from these declarations. The functions are in `pipelines/assets/`, each named like its
 stage. Nothing here needs Dagster, so a night with nothing new stays quick.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from hdt_core.components import components
 from hdt_core.tables import TABLES
@@ -213,3 +213,61 @@ STAGE = {stage.name: stage for stage in STAGES}
 MAKER = {table: stage for stage in STAGES for table in stage.tables}
 LINEAGE = {table: recipe for stage in STAGES for table, recipe in stage.tables.items()}
 UPSTREAM = {stage.name: upstream_tables(stage) for stage in STAGES}
+
+
+class Step(NamedTuple):
+    """Stages of one run: one grain, parents before children."""
+
+    stages: tuple[Stage, ...]
+
+    @property
+    def grain(self) -> str:
+        """Partition of the run."""
+        return self.stages[0].grain
+
+    @property
+    def label(self) -> str:
+        """Name of the run."""
+        return next((stage.label for stage in self.stages if stage.label), self.stages[0].name)
+
+    @property
+    def batch_factor(self) -> int:
+        """Flights that the run may take, as a multiple of those of a run that reads files."""
+        return min(stage.size for stage in self.stages)
+
+    def tables(self, stale: Collection[str]) -> list[str]:
+        """List the tables of the `stale` stages, by name, and of those that follow from them."""
+        tables = list[str]()
+        for stage in self.stages:
+            if stage.name in stale or not UPSTREAM[stage.name].isdisjoint(tables):
+                tables += stage.tables
+        return tables
+
+
+def steps(stages: Iterable[Stage]) -> list[Step]:
+    """Group stages into few runs in which every stage comes after its parents.
+
+    From the end backwards: among the stages without remaining children, pick the last declared, with all of its grain,
+    so that each stage runs as late as it can.
+
+    Raises
+    ------
+    ValueError
+        Where the stages' parents form a cycle.
+    """
+    remaining, ordered_steps = list(stages), list[Step]()
+    while remaining:
+        last = list[Stage]()
+        while leaves := [s for s in _leaf_stages(remaining) if not last or s.grain == last[0].grain]:
+            remaining.remove(leaves[-1])
+            last.insert(0, leaves[-1])
+        if not last:
+            raise ValueError(f"stages form a cycle: {', '.join(s.name for s in remaining)}")
+        ordered_steps.insert(0, Step(tuple(last)))
+    return ordered_steps
+
+
+def _leaf_stages(stages: Sequence[Stage]) -> list[Stage]:
+    """Return stages whose tables no other stage reads."""
+    parents = {table for stage in stages for table in (*stage.parents, *stage.untracked)}
+    return [stage for stage in stages if not parents & set(stage.tables)]

@@ -18,9 +18,8 @@ from pipelines.intake.findings import CASES, FINDINGS
 from pipelines.lineage import MAKER, Stage
 from pipelines.storage import ledger_copy, seal
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.data_file import hash_in
 from pipelines.storage.delta import DamageError, shards_of
-from pipelines.storage.files import LOG
+from pipelines.storage.files import LOG, hash_in
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.months import in_shard, without_folded
 from pipelines.storage.store import EMPTY, FLEET, Aircraft, Store

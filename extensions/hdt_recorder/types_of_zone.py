@@ -8,8 +8,8 @@ from pathlib import Path
 from hdt_core.packages import load_entry_points
 from hdt_recorder.aircraft_types import AircraftType, AircraftTypeError, read_type
 from pipelines.intake.faults import Fault
-from pipelines.intake.fleet_list import FleetLine, fleet_lines
 from pipelines.intake.landing_file import RECORDER, Kind, LandingFile
+from pipelines.intake.lists import FleetLine, fleet_lines
 from pipelines.intake.readers import REPORTS, TYPES, KindOf, ReaderError
 
 

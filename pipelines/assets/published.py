@@ -6,8 +6,7 @@ from typing import Any
 
 import dagster as dg
 
-from pipelines.assets.automation import PUBLISHED, any_parent_newer
-from pipelines.assets.stage import group_of
+from pipelines.assets.stage import PUBLISHED, any_parent_newer, group_of
 from pipelines.report.facts import views_read
 from pipelines.resources import Home
 from pipelines.storage.catalog import CATALOG

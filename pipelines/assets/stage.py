@@ -1,8 +1,8 @@
-"""Build Dagster assets of a stage's function, wired and checked from its declaration."""
+"""Build Dagster assets of a stage's function, wired, checked and automated from its declaration."""
 
 import inspect
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import timedelta
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,7 +13,6 @@ import polars as pl
 from dagster_batched.materialization import CheckBeforeStorage
 from hdt_core.tables import TABLES
 from pipelines import partitions
-from pipelines.assets.automation import PUBLISHED, condition_of
 from pipelines.intake.broken_rows import store_broken_rows
 from pipelines.lineage import MAKER, STAGE, UPSTREAM, Stage
 from pipelines.partitions import PartitionScope
@@ -21,6 +20,8 @@ from pipelines.resources import Home
 from pipelines.storage.headers import MEANINGS
 from pipelines.storage.panics import panics_as_errors
 
+PUBLISHED = "8_catalog_report"
+"""Asset group of the catalog and the report."""
 _GROUPS = {
     "raw": ("1_recorder_files", "flight-data"), "legs": ("2_flight_legs", "flight-data"),
     "calibration": ("3_system_model", "thermal-models"), "twin": ("4_twin", "thermal-models"),
@@ -169,3 +170,33 @@ def _check_and_store(
 def _numbers(frame: pl.DataFrame) -> dict[str, int]:
     labels = {"flight_id": "flights", "tail": "aircraft"}
     return {name: frame[c].n_unique() for c, name in labels.items() if c in frame.columns}
+
+
+def any_parent_newer(parents: Iterable[str | dg.AssetKey]) -> dg.AutomationCondition[dg.AssetKey]:
+    """Build the condition that a parent is newer than the asset, or requested, and none is in progress."""
+    requested = dg.AutomationCondition.newly_requested() | dg.AutomationCondition.newly_updated()
+    newer = dg.AutomationCondition.any_deps_updated().allow(dg.AssetSelection.assets(*parents)).since(requested)
+    busy = dg.AutomationCondition.any_deps_in_progress() | dg.AutomationCondition.in_progress()
+    return (newer & ~busy).with_label("made from something newer")
+
+
+def condition_of(stage: Stage) -> dg.AutomationCondition[dg.AssetKey] | None:
+    """Return a stage's condition; None if made from files, which `landing_zone` watches, or from a baseline alone."""
+    follows = stage.parents and not any(recipe.baseline or recipe.files for recipe in stage.tables.values())
+    return any_parent_newer(stage.parents) if follows else None
+
+
+# Both are off by default. A night finds stale cells by hashes; Dagster compares times, so it makes never less and
+# sometimes more. Published assets are made after a night's runs, so their sensor can run beside nights.
+SENSORS = (
+    dg.AutomationConditionSensorDefinition(
+        "publish_what_is_newer",
+        target=dg.AssetSelection.groups(PUBLISHED),
+        description="Makes the catalog and the report where tables are newer.",
+    ),
+    dg.AutomationConditionSensorDefinition(
+        "make_what_follows",
+        target=dg.AssetSelection.all() - dg.AssetSelection.groups(PUBLISHED),
+        description="Makes stages whose parents are newer, where no nights run and files are taken in by hand.",
+    ),
+)

@@ -1,4 +1,4 @@
-"""Estimate each pack's health from each flight alone, and track it through all flights."""
+"""Estimate each pack's health from each flight alone, track it through all flights, compare with sensor and model."""
 
 import json
 
@@ -6,6 +6,7 @@ import polars as pl
 
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.health.residuals import residuals as compare
 from hdt_core.tracking.track import TrackResult, track
 from pipelines.assets.stage import stage
 from pipelines.lineage import LINEAGE
@@ -38,3 +39,9 @@ def twin_health(
     """
     stored = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
     return track(twin_flights, raw_maintenance, model_of(calibration_dsm), stored, LINEAGE["twin_health"].code)
+
+
+@stage
+def residuals(legs_samples: pl.DataFrame, twin_flights: pl.DataFrame, calibration_dsm: pl.DataFrame) -> pl.DataFrame:
+    """Compute sensor minus model, model minus twin and sensor minus twin, per flight and signal."""
+    return compare(legs_samples, twin_flights, model_of(calibration_dsm))

@@ -97,7 +97,7 @@ def list_(
     as_json: AsJson = False,
 ) -> None:
     """List the open cases, the most urgent first."""
-    from pipelines.casework.listing import OPEN, list_cases
+    from pipelines.casework import OPEN, list_cases
     from pipelines.report import words
 
     where, values = ("state = $state", {"state": state}) if state else ("true" if every else OPEN, {})
@@ -124,8 +124,7 @@ def _state(row: Mapping[str, Any]) -> str:
 @case.command("show")
 def show(alert: AlertId, home: HomeDir = None, as_json: AsJson = False) -> None:
     """Show one case: its state, evidence, action and history."""
-    from pipelines.casework.changes import findings
-    from pipelines.casework.listing import find_case, history_of
+    from pipelines.casework import find_case, findings, history_of
     from pipelines.report import words
 
     where = home_folder(home)
@@ -146,8 +145,7 @@ def show(alert: AlertId, home: HomeDir = None, as_json: AsJson = False) -> None:
 
 
 def _change(home: Path | None, alert: str, kind: str, by: str, **fields: Any) -> None:
-    from pipelines.casework.changes import change_case
-    from pipelines.casework.listing import find_case
+    from pipelines.casework import change_case, find_case
 
     where = home_folder(home)
     out.print(change_case(where, find_case(where, alert), kind, by, **fields))

@@ -98,7 +98,7 @@ def backfill(
     By operator, aircraft or departure date, both ends included. It may be stopped and started again.
     """
     where = landing_folder(landing)
-    from pipelines.intake.names import is_operator, is_tail
+    from pipelines.intake.fields import is_operator, is_tail
 
     if operator and not (is_operator(operator) and (where / operator).is_dir()):
         raise StopError(f"no operator {operator} in {where}")

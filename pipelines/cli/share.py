@@ -34,8 +34,8 @@ def export(
     key_file: Annotated[Path | None, typer.Option(help=f"File with the key; default: variable {KEY}.")] = None,
 ) -> None:
     """Write the catalog's views as Parquet, CSV or DuckDB."""
-    from pipelines.sharing.export import export as write
-    from pipelines.sharing.redaction import access_scope
+    from pipelines.sharing import access_scope
+    from pipelines.sharing import export as write
     from pipelines.storage.publication import views
 
     where, names = home_folder(home), views()

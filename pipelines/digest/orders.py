@@ -11,7 +11,7 @@ import polars as pl
 from pipelines.digest.render import PAGES
 from pipelines.report import words
 from pipelines.report.tasks import BEST_CHOICE, Task, Tasks, action_of, tasks_of
-from pipelines.sharing.export import safe
+from pipelines.sharing import safe
 from pipelines.storage.files import replacing
 
 COLUMNS = ("reference", "operator", "tail", "pack", "component", "action", "due", "reason", "alert_id")

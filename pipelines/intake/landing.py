@@ -12,9 +12,9 @@ import polars as pl
 
 from hdt_core.components import recorded_components
 from pipelines.intake.faults import Fault, quarantine
-from pipelines.intake.fleet_list import PACKS, FleetLines, fleet_lines
+from pipelines.intake.fields import is_operator, is_tail
 from pipelines.intake.landing_file import RECORDER, Kind, LandingFile, modified_at
-from pipelines.intake.names import is_operator, is_tail
+from pipelines.intake.lists import PACKS, FleetLines, fleet_lines
 from pipelines.intake.readers import NO_READER, REPORTS, TYPES, Zone, readers
 
 PART = ".part"

@@ -8,8 +8,8 @@ from typing import Literal
 import polars as pl
 
 from pipelines.intake.faults import Fault, quarantine
-from pipelines.intake.fleet_list import PACKS
-from pipelines.intake.names import flight_of_file
+from pipelines.intake.fields import flight_of_file
+from pipelines.intake.lists import PACKS
 
 Kind = Literal[
     "acms", "history", "cpl", "component", "recorder", "reports", "type", "messages", "maintenance", "fleet", "checks"

@@ -11,12 +11,10 @@ from hdt_core.components import ACTIONS, components
 from hdt_core.tables.raw import RawChecks, RawFleet, RawMaintenance, RawMessages
 from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
-from pipelines.intake.fleet_list import parse_fleet
+from pipelines.intake.fields import EARLIEST, flight_day, flight_tail, is_operator, is_tail, to_day
 from pipelines.intake.landing_file import FileIntake, LandingFile
-from pipelines.intake.log_lines import Lines, Row, Words, parse_list
-from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_operator, is_tail
+from pipelines.intake.lists import Lines, Row, Words, parse_fleet, parse_list
 from pipelines.intake.parquet import parquet_as_text
-from pipelines.intake.times import to_day
 from pipelines.storage.cases import FINDINGS
 
 COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")

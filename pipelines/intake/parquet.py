@@ -11,9 +11,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipelines.intake.columns import Contract
+from pipelines.intake.columns import Contract, match_header
 from pipelines.intake.faults import Fault
-from pipelines.intake.header import match_header
 from pipelines.intake.text import parse_numbers
 from pipelines.storage.panics import first_line, panics_as_errors
 

@@ -9,9 +9,9 @@ import polars as pl
 
 from pipelines.intake.columns import AIRPORTS, PHASE, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS
 from pipelines.intake.faults import MAX_ROWS_LISTED, Fault, first_and_rest
+from pipelines.intake.fields import EARLIEST, flight_day, flight_tail, is_history
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.laws import pressure_over_atmosphere
-from pipelines.intake.names import EARLIEST, flight_day, flight_tail, is_history
 from pipelines.intake.unit_slips import OUTSIDE, find_unit_slips
 
 EARLY, LATE = timedelta(hours=3), timedelta(hours=48)

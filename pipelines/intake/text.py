@@ -10,9 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import polars as pl
 
-from pipelines.intake.columns import Contract
+from pipelines.intake.columns import Contract, Header, match_header
 from pipelines.intake.faults import MAX_ROWS_LISTED, Fault, first_and_rest
-from pipelines.intake.header import Header, match_header
 
 TEXT_INDEX = "_text"
 """Column with the index of a row's text; the contract has a column `text` of its own."""

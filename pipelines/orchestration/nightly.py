@@ -15,10 +15,9 @@ import polars as pl
 
 from pipelines.intake.refusals import ignored_entries
 from pipelines.intake.scan import scan
-from pipelines.lineage import STAGES, Stage
+from pipelines.lineage import STAGES, Stage, Step, steps
 from pipelines.orchestration.around_night import call_hooks, notify_receivers
 from pipelines.orchestration.local_executor import EngineError, LocalExecutor, equivalent_flights, sends_out
-from pipelines.orchestration.order import Step, steps
 from pipelines.repair import repair_home
 from pipelines.storage import history, ledger_copy
 from pipelines.storage.delta import DamageError
@@ -271,7 +270,7 @@ class _Chain:
     @cached_property
     def runner(self) -> Runner:
         """Runner in this process."""
-        from pipelines.assets.location import asset_definitions
+        from pipelines.assets import asset_definitions
         from pipelines.orchestration.runs import BY, Runner, launched_by, open_instance
 
         if self.parent_run is None and (anew := history.replace_damaged_history(self.home, whole=False)):

@@ -11,7 +11,6 @@ from threading import Thread
 import dagster as dg
 
 from pipelines import assets
-from pipelines.assets.location import asset_definitions
 from pipelines.orchestration.batches import BatchResult, PartitionBatch
 from pipelines.orchestration.runs import BY, Runner, open_instance
 from pipelines.storage.ledger import Ledger
@@ -43,4 +42,4 @@ def make(landing: Path, home: Path, tables: list[str], batch: PartitionBatch, la
 @cache
 def _runner(landing: Path, home: Path) -> Runner:
     """Build this process's runner, once."""
-    return Runner(asset_definitions(landing, home), open_instance(home), Ledger(home), BY)
+    return Runner(assets.asset_definitions(landing, home), open_instance(home), Ledger(home), BY)

@@ -6,11 +6,10 @@ from typing import Any
 import polars as pl
 
 from pipelines.report import words
-from pipelines.report.drawing import drawing
 from pipelines.report.facts import Facts
 from pipelines.report.tasks import ACTIONS, Task, action_of, tasks_of
 from pipelines.report.tonight import tonight
-from pipelines.report.tracks import fleet_band, tracks
+from pipelines.report.tracks import drawing, fleet_band, tracks
 from pipelines.words import _, number
 
 Row = dict[str, Any]

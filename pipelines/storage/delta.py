@@ -26,8 +26,7 @@ from deltalake.transaction import (
     create_table_with_add_actions,
 )
 
-from pipelines.storage.data_file import FILE_NAME, hash_in, hash_of, pack
-from pipelines.storage.files import Folder
+from pipelines.storage.files import FILE_NAME, Folder, hash_in, hash_of, pack
 from pipelines.storage.objects import Bucket, StoreError
 from pipelines.storage.panics import message_of
 

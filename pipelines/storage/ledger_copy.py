@@ -7,9 +7,8 @@ checks of its own.
 
 from pathlib import Path
 
-from pipelines.storage.data_file import hash_of
 from pipelines.storage.database import query_value
-from pipelines.storage.files import make_private, replacing
+from pipelines.storage.files import hash_of, make_private, replacing
 from pipelines.storage.ledger import FILE, HASH_FILE, Ledger
 
 

@@ -16,9 +16,8 @@ import duckdb
 
 from hdt_core.tables import FORMER_NAMES, TABLES
 from pipelines.storage.catalog import CATALOG, open_catalog, quote, restrict
-from pipelines.storage.data_file import hash_of
 from pipelines.storage.delta import DamageError
-from pipelines.storage.files import replacing
+from pipelines.storage.files import hash_of, replacing
 from pipelines.storage.headers import MEANINGS, meanings_of_columns, read_header
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_copy import copy_ledger

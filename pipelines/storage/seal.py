@@ -11,8 +11,7 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from pipelines.storage.data_file import hash_in, hash_of
-from pipelines.storage.files import LOG, files_below, replacing
+from pipelines.storage.files import LOG, files_below, hash_in, hash_of, replacing
 from pipelines.storage.store import Store
 
 NAME = "seal.json"

@@ -19,8 +19,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from pipelines.casework.changes import ACTIONS, KINDS, RefusedError, change_case, findings
-from pipelines.casework.listing import OPEN, history_of, list_cases
+from pipelines.casework import ACTIONS, KINDS, OPEN, RefusedError, change_case, findings, history_of, list_cases
 from pipelines.digest.changes import Digest, changes_since
 from pipelines.digest.render import lines
 from pipelines.report import words

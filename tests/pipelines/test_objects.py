@@ -17,8 +17,7 @@ from soundness import faults
 from benchmarks.fault_points import OF_OBJECTS
 from benchmarks.fingerprint import fingerprint
 from pipelines.report.page import write_report
-from pipelines.sharing.export import export
-from pipelines.sharing.redaction import access_scope
+from pipelines.sharing import access_scope, export
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError, bucket

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hdt_core.components import component_rows
-from pipelines.casework.listing import list_cases
+from pipelines.casework import list_cases
 from pipelines.cli import app
 from pipelines.cli.night import print_ranking
 from pipelines.digest.changes import changes_since

@@ -4,8 +4,7 @@ from itertools import permutations
 
 import pytest
 
-from pipelines.lineage import STAGE, STAGES, declare_stage
-from pipelines.orchestration.order import steps
+from pipelines.lineage import STAGE, STAGES, declare_stage, steps
 
 
 def test_every_stage_is_made_once_and_after_what_it_needs():

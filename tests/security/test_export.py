@@ -18,8 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hdt_core.tables import TABLES
-from pipelines.sharing.export import FORMATS, MANIFEST, export, safe
-from pipelines.sharing.redaction import AccessScope, access_scope
+from pipelines.sharing import FORMATS, MANIFEST, AccessScope, access_scope, export, safe
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.publication import publish, tables_read, views
 from pipelines.storage.store import FLEET, Store

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.lineage import STAGES, Stage
+from pipelines.lineage import STAGES, Stage, steps
 from pipelines.orchestration.around_night import lock_home
 from pipelines.orchestration.nightly import Night, run_night
-from pipelines.orchestration.order import steps
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import publish
 

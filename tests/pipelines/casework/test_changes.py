@@ -9,8 +9,7 @@ from case_homes import case_home
 from small_catalog import START
 
 from hdt_core.errors import UserError
-from pipelines.casework.changes import RefusedError, change_case
-from pipelines.casework.listing import find_case, history_of, list_cases
+from pipelines.casework import RefusedError, change_case, find_case, history_of, list_cases
 from pipelines.storage.cases import ConflictError
 
 SOON = (dt.datetime.now(dt.UTC) + dt.timedelta(days=5)).date().isoformat()

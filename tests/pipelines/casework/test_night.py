@@ -2,8 +2,7 @@
 
 from nights import run
 
-from pipelines.casework.changes import change_case
-from pipelines.casework.listing import find_case, list_cases
+from pipelines.casework import change_case, find_case, list_cases
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 

@@ -6,8 +6,8 @@ from datetime import date
 
 import pytest
 
+from pipelines.intake.fields import flight_day, flight_of_file, is_operator, is_tail
 from pipelines.intake.landing import list_landing
-from pipelines.intake.names import flight_day, flight_of_file, is_operator, is_tail
 from pipelines.intake.snapshots import flights_in
 
 GOOD = {

@@ -17,7 +17,7 @@ import uvicorn
 from asgi_client import Client
 from case_homes import case_home
 
-from pipelines.casework.listing import find_case, history_of
+from pipelines.casework import find_case, history_of
 from pipelines.storage.cases import FILE
 from pipelines.storage.catalog import CATALOG
 from pipelines.web import roles

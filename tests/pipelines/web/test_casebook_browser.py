@@ -12,7 +12,7 @@ import uvicorn
 from case_homes import case_home
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from pipelines.casework.listing import find_case
+from pipelines.casework import find_case
 from pipelines.web import roles
 from pipelines.web.casebook import application
 from pipelines.web.guard import LOCAL, Guard

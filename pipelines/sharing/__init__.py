@@ -1,1 +1,0 @@
-"""What leaves the home: views as files, catalogs for one reader."""
