@@ -9,6 +9,8 @@ from hdt_core.calibration.compressor import compressor_flights, compressor_sampl
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.inlet_law import inlet_above_law
 from hdt_core.calibration.sensor_priors import exit_differences
+from hdt_core.estimation.descent import gauss_newton
+from hdt_core.estimation.problem import Problem, unknown
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance, with_static_pressure
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER
@@ -191,9 +193,12 @@ def _locate(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:
     # a short flight's own variance is uncertain: shrink it to the usual one with the weight of five samples
     variance = ((MAD_TO_SD * deviations["a"].to_numpy()) ** 2 * count + SAMPLE_SD**2 * 5.0) / (count + 5.0)
     scale = np.sqrt(variance)
-    weight = np.ones(len(value))
-    for _ in range(ROBUST_STEPS):
-        weight = huber_weights(np.abs(value - centre[group]), scale[group])
-        centre = np.bincount(group, weight * value) / np.bincount(group, weight)
-    error = scale / np.sqrt(np.bincount(group, weight))
+    sample_scale = scale[group]
+    problem = Problem(
+        names=(name,), bounds=np.array([[-np.inf, np.inf]]), prior=unknown(np.zeros(1)), group=group,
+        measured=(value / sample_scale)[:, None], sigma=np.ones(1),
+        observe=lambda _x, theta, i: theta / sample_scale[i],
+    )  # fmt: skip
+    location, cov = gauss_newton(problem, centre[:, None], ROBUST_STEPS, lambda r: huber_weights(np.abs(r), 1.0))
+    centre, error = location[:, 0], np.sqrt(cov[:, 0, 0])
     return keys.select(*FLIGHT_PACK, pl.Series(name, centre), pl.Series(f"{name}_sd", error), "n")
