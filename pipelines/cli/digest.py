@@ -33,8 +33,9 @@ def digest(
     if trial:
         _try(where)
         return
-    from pipelines.digest import as_json as digest_json
-    from pipelines.digest import as_text, changes_since, write_digest
+    from pipelines.digest.changes import changes_since
+    from pipelines.digest.render import as_json as digest_json
+    from pipelines.digest.render import as_text, write_digest
 
     changes = changes_since(where, since).of(operator)
     if target is not None:
@@ -46,7 +47,7 @@ def digest(
 
 
 def _try(where: Path) -> None:
-    from pipelines.digest import send_trial
+    from pipelines.digest.delivery import send_trial
     from pipelines.storage.settings import notify_file
 
     results = send_trial(where)
@@ -71,7 +72,7 @@ def orders(
 
     As CSV and JSON for a maintenance system, and as a page to print.
     """
-    from pipelines.digest import work_orders, write_orders
+    from pipelines.digest.orders import work_orders, write_orders
     from pipelines.report.tasks import read_tasks
     from pipelines.storage.catalog import connect
 

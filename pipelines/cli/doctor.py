@@ -13,7 +13,7 @@ from pathlib import Path
 import duckdb
 import polars as pl
 
-from pipelines.digest import NotifyError, receivers_of
+from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.intake.costs import NAME as NAME_OF_COSTS
 from pipelines.intake.costs import CostError, read_costs
 from pipelines.intake.landing import list_landing

@@ -100,6 +100,6 @@ def notify_receivers(home: Path) -> tuple[str, ...]:
     """Send the night's digests; return a line for each receiver that failed. A home without receivers costs nothing."""
     if not notify_file(home).exists():
         return ()
-    from pipelines.digest import send_digests
+    from pipelines.digest.delivery import send_digests
 
     return tuple(send_digests(home))

@@ -179,7 +179,7 @@ def check_settings(home: Path) -> None:
     for read_setting in HOME_SETTINGS.values():
         read_setting(home)
     if notify_file(home).exists():
-        from pipelines.digest import receivers_of
+        from pipelines.digest.declaration import receivers_of
 
         receivers_of(home)
 

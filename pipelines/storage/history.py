@@ -1,52 +1,25 @@
 """Check Dagster's history below a home: SQLite files that may be damaged. No stored result depends on them.
 
-Every run has a file of its own, thousands in a year, that nobody writes once the run has ended. A night notes size and
-time of the files it has checked and reads them again only when they have changed, as it does with the tables' files.
+Every run has a file of its own, thousands in a year, that nobody writes once the run has ended: `hdt doctor` and `hdt
+tidy` read these too, a night those that all runs share.
 """
 
+import re
 import shutil
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pipelines.storage.database import query_value
-from pipelines.storage.files import replacing
 
 _READ_BYTES = 256 << 20  # a larger file is not read whole by a night
 _ASIDE = "dagster.damaged"
-_CHECKED = "sound.txt"
+_RUN_ID = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 
 
-def find_history_fault(home: Path) -> str | None:
-    """Find the first damaged file, reading all of them whole; the fault in words."""
-    return next(filter(None, (_file_fault(home, file, whole=True) for file in _files(home))), None)
-
-
-def _fault_since(home: Path) -> str | None:
-    """Find the first damaged file among those that are small enough and new or changed since the last night."""
-    note = home / "dagster" / _CHECKED
-    old_stamps = set(note.read_text(errors="replace").splitlines()) if note.exists() else set[str]()
-    files = {_stamp(home, file): file for file in _files(home)}
-    for stamp, file in files.items():
-        if stamp not in old_stamps and (fault := _file_fault(home, file, whole=False)):
-            return fault
-    if old_stamps != files.keys():
-        with replacing(note) as temporary:
-            temporary.write_text("\n".join(files))
-    return None
-
-
-def _files(home: Path) -> list[Path]:
-    return sorted((home / "dagster").rglob("*.db"))
-
-
-def _stamp(home: Path, file: Path) -> str:
-    """Size and time of a file and of the write-ahead log beside it, which a writer may remove at any moment."""
-    parts = [str(file.relative_to(home))]
-    for one in (file, file.with_name(f"{file.name}-wal")):
-        with suppress(FileNotFoundError):
-            parts += [str(one.stat().st_size), str(one.stat().st_mtime_ns)]
-    return " ".join(parts)
+def find_history_fault(home: Path, *, whole: bool = True) -> str | None:
+    """Find the first damaged file of all, each read whole, or of those that all runs share; the fault in words."""
+    files = (f for f in sorted((home / "dagster").rglob("*.db")) if whole or not _RUN_ID.fullmatch(f.stem))
+    return next(filter(None, (_file_fault(home, file, whole=whole) for file in files)), None)
 
 
 def _file_fault(home: Path, file: Path, *, whole: bool) -> str | None:
@@ -69,7 +42,7 @@ def _query(file: Path, sql: str) -> str:
 
 def replace_damaged_history(home: Path, *, whole: bool = True) -> str | None:
     """Begin a new history where the old one is damaged; the fault in words. A night does not read it `whole`."""
-    fault = find_history_fault(home) if whole else _fault_since(home)
+    fault = find_history_fault(home, whole=whole)
     if fault is None:
         return None
     place = next(p for n in range(1_000_000) if not (p := home / (f"{_ASIDE}.{n}" if n else _ASIDE)).exists())

@@ -10,16 +10,11 @@ from digest_nights import FIRST, SECOND, flight, publish_night
 from typer.testing import CliRunner
 
 from pipelines.cli import app
-from pipelines.digest import (
-    EMPTY,
-    as_html,
-    as_json,
-    as_text,
-    compare,
-    read_state,
-    work_orders,
-)
-from pipelines.digest import changes_since as since
+from pipelines.digest.changes import changes_since as since
+from pipelines.digest.changes import compare
+from pipelines.digest.orders import work_orders
+from pipelines.digest.render import as_html, as_json, as_text
+from pipelines.digest.state import EMPTY, read_state
 from pipelines.storage.catalog import connect
 
 

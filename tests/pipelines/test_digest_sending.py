@@ -21,14 +21,9 @@ from digest_nights import FIRST, SECOND, publish_night
 from typer.testing import CliRunner
 
 from pipelines.cli import app
-from pipelines.digest import (
-    NotifyError,
-    declaration,
-    delivery,
-    receivers_of,
-    send_digests,
-    senders,
-)
+from pipelines.digest import declaration, delivery, senders
+from pipelines.digest.declaration import NotifyError, receivers_of
+from pipelines.digest.delivery import send_digests
 from pipelines.storage.publication import publish
 
 SECRET = "s3cret-pass-word"

@@ -9,8 +9,9 @@ from spoils import column, field
 
 from pipelines.cli.base import app
 from pipelines.cli.doctor import FILES_A_FOLDER, examine, sample_files
-from pipelines.digest import EMPTY, as_text, compare
-from pipelines.digest.state import read_state
+from pipelines.digest.changes import compare
+from pipelines.digest.render import as_text
+from pipelines.digest.state import EMPTY, read_state
 from pipelines.intake.ingest import ingest_flights
 from pipelines.intake.landing import list_landing
 from pipelines.intake.refusals import MAX_LINES, ignored_entries, quarantine_line, silent_columns, silent_lines
