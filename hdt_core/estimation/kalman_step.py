@@ -7,6 +7,8 @@ The joint vector is z = (states, parameters). A method differs only in how it re
 by its tangent (extended) or by regression over sigma points (unscented). Bounds are kept where the model is evaluated
 and where an estimate is reported but not in the belief, so the algebra of the smoother stays exact.
 
+Prediction, gain and update take any leading axes, for many beliefs at once; each one's result is that of itself alone.
+
 References
 ----------
 .. [1] D. Simon, Optimal State Estimation, 2006, chapters 5 and 13.
@@ -31,7 +33,7 @@ class LostTrackError(ArithmeticError):
 
 @dataclass(frozen=True, slots=True)
 class Affine:
-    """y = slope z + offset + noise of covariance `spread`: (r, j), (r,), (r, r)."""
+    """y = slope z + offset + noise of covariance `spread`: (..., r, j), (..., r), (..., r, r)."""
 
     slope: Array
     offset: Array
@@ -94,14 +96,24 @@ def innovate(belief: Belief, model: Affine, measured: Array, sigma: Array) -> Co
     is_recorded = ~np.isnan(measured)
     if not is_recorded.all():
         slope, noise, error = slope[is_recorded], noise[np.ix_(is_recorded, is_recorded)], error[is_recorded]
-    across = belief.cov @ slope.T
-    precision = _inverse(slope @ across + noise)
-    return Correction(slope, across @ precision, precision, error - slope @ belief.mean, noise)
+    return compute_gain(belief, Affine(slope, np.zeros(len(error)), noise), error)
+
+
+def compute_gain(belief: Belief, model: Affine, measured: Array) -> Correction:
+    """Compute gain and innovation of complete samples, (..., r)."""
+    across = belief.cov @ model.slope.mT
+    precision = _inverse(model.slope @ across + model.spread)
+    innovation = measured - model.offset - _product(model.slope, belief.mean)
+    return Correction(model.slope, across @ precision, precision, innovation, model.spread)
+
+
+def _product(matrix: Array, vector: Array) -> Array:
+    return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
 def _inverse(cov: Array) -> Array:
     """Invert the innovations' covariance, by the pseudoinverse where rounding has made it singular."""
-    if cov.size == 1:
+    if cov.shape[-1] == 1:
         return np.asarray(1.0 / cov)
     try:
         return np.asarray(np.linalg.inv(cov))
@@ -111,9 +123,10 @@ def _inverse(cov: Array) -> Array:
 
 def update_belief(belief: Belief, correction: Correction) -> Belief:
     """Update a belief by a sample in Joseph's form: a covariance for any gain, and symmetric for every rounding."""
-    complement = np.eye(belief.mean.size) - correction.gain @ correction.slope
-    cov = complement @ belief.cov @ complement.T + correction.gain @ correction.noise @ correction.gain.T
-    return Belief(belief.mean + correction.gain @ correction.innovation, 0.5 * (cov + cov.T))
+    gain = correction.gain
+    complement = np.eye(belief.mean.shape[-1]) - gain @ correction.slope
+    cov = complement @ belief.cov @ complement.mT + gain @ correction.noise @ gain.mT
+    return Belief(belief.mean + _product(gain, correction.innovation), 0.5 * (cov + cov.mT))
 
 
 def linearise_step(problem: Problem, linearise: Linearise, point: Belief, i: int) -> Affine:
@@ -130,9 +143,10 @@ def linearise_step(problem: Problem, linearise: Linearise, point: Belief, i: int
     return Affine(slope, offset, noise)
 
 
-def predict_belief(belief: Belief, step: Affine) -> Belief:
-    """Predict a belief one step later."""
-    return Belief(step.slope @ belief.mean + step.offset, step.slope @ belief.cov @ step.slope.T + step.spread)
+def predict_belief(belief: Belief, model: Affine) -> Belief:
+    """Predict a belief one step later, or a sample by the model of its outputs."""
+    mean = _product(model.slope, belief.mean) + model.offset
+    return Belief(mean, model.slope @ belief.cov @ model.slope.mT + model.spread)
 
 
 def outputs(problem: Problem, i: int, z: Array) -> Array:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdt_core.calibration.arrays import Array
+from hdt_core.estimation.problem import Belief
 from hdt_core.records.renewals import NOTHING, REPLACEMENT, WASH
 from hdt_core.tracking.wear_model import MAP_SD, OTHER, RATE, SENSORS, UNIT, WEAR, Observation, Settings
 
@@ -63,6 +64,11 @@ class Hypotheses(NamedTuple):
         """Return the hypotheses of the first n packs, not copied."""
         rows = int(np.searchsorted(self.pack, n))
         return self if rows == len(self.pack) else Hypotheses(*(values[:rows] for values in self))
+
+    @property
+    def belief(self) -> Belief:
+        """States of all hypotheses."""
+        return Belief(self.mean, self.cov)
 
     @property
     def n_packs(self) -> int:

@@ -38,13 +38,13 @@ def step(hypotheses: Hypotheses, flight: Observation, settings: Settings) -> tup
     """Advance all packs by one flight; `flight` holds one entry a pack."""
     wear = np.bincount(hypotheses.pack, np.exp(hypotheses.log_weight) * hypotheses.mean[:, WEAR], len(flight.ratio))
     flight, since = at_reference(flight, wear), hypotheses.since + 1
-    mean, cov = predict(hypotheses.mean, hypotheses.cov, hypotheses.pace, since, hypotheses.faulty, settings)
+    belief = predict(hypotheses.belief, hypotheses.pace, since, hypotheses.faulty, settings)
     log_weight = hypotheses.log_weight + np.where(hypotheses.faulty, np.log1p(-CHANCE["fault_over"]), 0.0)
-    identity = {"parent": np.arange(len(since)), "retention": np.ones_like(mean)}
-    prior = hypotheses._replace(mean=mean, cov=cov, since=since, log_weight=log_weight, **identity)
+    identity = {"parent": np.arange(len(since)), "retention": np.ones_like(belief.mean)}
+    prior = hypotheses._replace(mean=belief.mean, cov=belief.cov, since=since, log_weight=log_weight, **identity)
     prior = apply_log(prior, flight.of(hypotheses.pack), settings)
     observations = flight.of(prior.pack)
-    residual, variance = innovation(prior.mean, prior.cov, observations, settings.level)
+    residual, variance = innovation(prior.belief, observations, settings.level)
     has_ratio = np.isfinite(observations.ratio)
     is_surprising = has_ratio & (np.abs(residual) > SURPRISE * np.sqrt(variance))
     has_entry = has_ratio & (observations.log_open > 0) & (prior.since > LATE_FLIGHTS)
@@ -54,8 +54,9 @@ def step(hypotheses: Hypotheses, flight: Observation, settings: Settings) -> tup
         stays = prior._replace(log_weight=prior.log_weight + np.where(has_entry, np.log1p(-RENEWAL_LOGGED), 0.0))
         branches = join([stays, *branch_on_surprise(prior, residual, is_surprising, log_entry, settings)])
     branches = branches.at(np.argsort(branches.pack, kind="stable"))
-    mean, cov, evidence = update(branches.mean, branches.cov, flight.of(branches.pack), settings.level)
-    posterior = normalise(branches._replace(mean=mean, cov=cov, log_weight=branches.log_weight + evidence))
+    belief, evidence = update(branches.belief, flight.of(branches.pack), settings.level)
+    log_weight = branches.log_weight + evidence
+    posterior = normalise(branches._replace(mean=belief.mean, cov=belief.cov, log_weight=log_weight))
     survivors, new_row = prune(posterior, settings.offset_bin)
     return survivors, Branching(branches, new_row, np.exp(posterior.log_weight))
 

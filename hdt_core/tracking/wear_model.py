@@ -12,6 +12,8 @@ import numpy as np
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.initial_wear import ENTRY, EntryWear
 from hdt_core.components.exchanger import HX
+from hdt_core.estimation.kalman_step import Affine, compute_gain, predict_belief, update_belief
+from hdt_core.estimation.problem import Belief
 from hdt_core.physics.model import declared
 
 WEAR, RATE, SENSORS, UNIT, OTHER = range(5)
@@ -122,30 +124,32 @@ def _keep(faulty: Array) -> Array:
     return np.where(faulty, 1.0, np.exp(-1.0 / MAP_FLIGHTS))
 
 
-def predict(
-    mean: Array, cov: Array, pace: Array, since: Array, faulty: Array, settings: Settings
-) -> tuple[Array, Array]:
+def predict(belief: Belief, pace: Array, since: Array, faulty: Array, settings: Settings) -> Belief:
     """Predict states one flight later. mean (m, 5), cov (m, 5, 5); the rest (m,)."""
-    move = transition(faulty)
-    new_cov = move @ cov @ np.swapaxes(move, 1, 2)
     late, early = (
         np.array([getattr(p, name) for p in settings.paces])[pace] for name in ("rate_step", "early_rate_step")
     )
     change = late + (early - late) * np.exp(-np.minimum(since, 1e3) / EARLY_FLIGHTS)
-    new_cov[:, WEAR, WEAR] += settings.wear_step**2
-    new_cov[:, RATE, RATE] += change**2
-    new_cov[:, OTHER, OTHER] += np.where(faulty, FAULT_STEP**2, MAP_SD**2 * (1.0 - _keep(faulty) ** 2))
-    return (move @ mean[:, :, None])[:, :, 0], new_cov
+    noise = np.zeros_like(belief.cov)
+    noise[:, WEAR, WEAR] = settings.wear_step**2
+    noise[:, RATE, RATE] = change**2
+    noise[:, OTHER, OTHER] = np.where(faulty, FAULT_STEP**2, MAP_SD**2 * (1.0 - _keep(faulty) ** 2))
+    return predict_belief(belief, Affine(transition(faulty), np.zeros(5), noise))
 
 
-def innovation(mean: Array, cov: Array, flight: Observation, level: float) -> tuple[Array, Array]:
+def observe(flight: Observation, level: float) -> Affine:
+    """Build the model of the ratio that each state lets expect."""
+    return Affine(ROW[None], np.array([level]), flight.variance[:, None, None])
+
+
+def innovation(belief: Belief, flight: Observation, level: float) -> tuple[Array, Array]:
     """Compute the residual and its variance for each state, 0 without an observation. (m,) each"""
-    # sums and no product of matrices: that one's last digits depend on which packs stand side by side
-    variance = ((cov @ ROW) * ROW).sum(axis=1) + flight.variance
-    return np.where(np.isfinite(flight.ratio), flight.ratio - level - (mean * ROW).sum(axis=1), 0.0), variance
+    expected = predict_belief(belief, observe(flight, level))
+    residual = np.where(np.isfinite(flight.ratio), flight.ratio - expected.mean[:, 0], 0.0)
+    return residual, expected.cov[:, 0, 0]
 
 
-def update(mean: Array, cov: Array, flight: Observation, level: float) -> tuple[Array, Array, Array]:
+def update(belief: Belief, flight: Observation, level: float) -> tuple[Belief, Array]:
     """Update states by a flight that may be an outlier; return also its log likelihood.
 
     Notes
@@ -153,25 +157,20 @@ def update(mean: Array, cov: Array, flight: Observation, level: float) -> tuple[
     With probability `OUTLIER_SHARE` a flight holds no information. Both cases are merged by their moments at once: a
     possible outlier leaves a wider posterior.
     """
-    residual, variance = innovation(mean, cov, flight, level)
+    has_ratio = np.isfinite(flight.ratio)
+    correction = compute_gain(belief, observe(flight, level), np.where(has_ratio, flight.ratio, level)[:, None])
+    residual, variance = correction.innovation[:, 0], 1.0 / correction.precision[:, 0, 0]
     log_regular = np.log1p(-OUTLIER_SHARE) + log_normal(residual, variance)
     log_outlier = np.log(OUTLIER_SHARE) + log_normal(residual, variance + OUTLIER_SD**2)
     evidence = np.logaddexp(log_regular, log_outlier)
-    use = np.where(np.isfinite(flight.ratio), np.exp(log_regular - evidence), 0.0)
-    gain = (cov @ ROW) / variance[:, None]
-    shift = gain * residual[:, None]
-    # Joseph's form keeps the covariance symmetric and positive
-    shrink = np.eye(5) - gain[:, :, None] * ROW
-    updated_cov = shrink @ cov @ np.swapaxes(shrink, 1, 2) + _outer(gain) * flight.variance[:, None, None]
-    spread_of_means = (use * (1.0 - use))[:, None, None] * _outer(shift)
-    new_cov = use[:, None, None] * updated_cov + (1.0 - use)[:, None, None] * cov + spread_of_means
-    return mean + use[:, None] * shift, new_cov, np.where(np.isfinite(flight.ratio), evidence, 0.0)
+    use = np.where(has_ratio, np.exp(log_regular - evidence), 0.0)
+    updated = update_belief(belief, correction)
+    shift, share = updated.mean - belief.mean, use[:, None, None]
+    spread_of_means = share * (1.0 - share) * shift[:, :, None] * shift[:, None, :]
+    cov = share * updated.cov + (1.0 - share) * belief.cov + spread_of_means
+    return Belief(belief.mean + use[:, None] * shift, cov), np.where(has_ratio, evidence, 0.0)
 
 
 def log_normal(residual: Array, variance: Array) -> Array:
     """Compute the log density of a normal variable about 0, without its constant. (m,)"""
     return np.asarray(-0.5 * (residual**2 / variance + np.log(variance)))
-
-
-def _outer(vectors: Array) -> Array:
-    return np.asarray(vectors[:, :, None] * vectors[:, None, :])
