@@ -18,13 +18,14 @@ from hdt_core.calibration.arrays import (
 from hdt_core.calibration.compressor import compressor_samples, probe_corrections
 from hdt_core.calibration.compressor_fit import fit_compressor
 from hdt_core.calibration.dsm import Dsm, SensorBiases, version_of
-from hdt_core.calibration.exchanger_fit import ExchangerFit, fit_exchanger
+from hdt_core.calibration.exchanger_fit import exchanger_panel
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.calibration.initial_wear import entry_posterior, first_levels, fleet_levels
 from hdt_core.calibration.inlet_law import learn_inlet
 from hdt_core.calibration.missing_physics import coefficients
 from hdt_core.calibration.pooling import PooledLevel, levels_of
 from hdt_core.calibration.sensor_priors import sensor_prior
+from hdt_core.estimation.panel import PanelLeastSquares
 from hdt_core.flight.windows import baseline_flights
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
@@ -82,7 +83,9 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
     cruise = cruise_samples(window).join(nominal, on=FLIGHT_PACK, how="semi")
     packs = flights.select(PACK).unique().sort(PACK)
     points = to_points(level_points(correct_inputs(cruise, terms), flights), packs)
-    fit = fit_exchanger(points, *sensor_prior(cruise, packs))
+    panel = exchanger_panel(points, *sensor_prior(cruise, packs))
+    estimate, bias = PanelLeastSquares().estimate(panel)
+    design = estimate.belief.mean
     machine = cruise_samples(window, monitored=False).join(nominal, on=FLIGHT_PACK, how="semi")
     corrections = probe_corrections(machine, packs)
     compressor = fit_compressor(compressor_samples(machine, corrections))
@@ -91,33 +94,33 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
     rows = rows.with_columns(pl.col("n_flights").fill_null(0))
     draft = Dsm(
         dsm_version=version_of(_inputs(window), nominal.sort(FLIGHT_PACK)),
-        exchanger=tuple(fit.mean.tolist()),
-        exchanger_cov=tuple(map(tuple, fit.cov.tolist())),
-        gradient=tuple(_mean_gradient(points, fit).tolist()),
+        exchanger=tuple(design.tolist()),
+        exchanger_cov=tuple(map(tuple, estimate.belief.cov.tolist())),
+        gradient=tuple(_mean_gradient(points, design, bias).tolist()),
         clean_level=0.0,
         clean_level_sd=0.05,
         offset_sd=0.055,
         flight_sd=0.02,
         reference_ua_w_k=1700.0,
-        ram_balance_seen=fit.has_ram_outlet,
+        ram_balance_seen=bool(panel.others),
         compressor=compressor,
         packs=tuple(
-            SensorBiases(bias=tuple(bias), **row)
-            for row, bias in zip(rows.iter_rows(named=True), fit.bias.tolist(), strict=True)
+            SensorBiases(bias=tuple(own), **row)
+            for row, own in zip(rows.iter_rows(named=True), bias.tolist(), strict=True)
         ),
         n_flights=base["flight_id"].n_unique(),
-        cruise_flows_kg_s=_middle_flows(points, fit.mean),
+        cruise_flows_kg_s=_middle_flows(points, design),
         terms=terms,
     )
     cruise = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
     return replace(draft, hot_inlet=learn_inlet(cruise, draft.design, draft.bias_of(cruise)))
 
 
-def _mean_gradient(points: Points, fit: ExchangerFit) -> Array:
+def _mean_gradient(points: Points, design: Array, bias: Array) -> Array:
     """Average the ln conductance ratio's derivative by the design over the points. (p,)"""
-    bias = fit.bias[points.pack].T if len(points) else np.zeros((len(hx.BIASES), 0))
-    ratio = hx.ln_conductance_ratio(points.signals, fit.mean, bias)
-    slopes = hx.design_gradient(points.signals, fit.mean, bias, ratio)
+    of_point = bias[points.pack].T
+    ratio = hx.ln_conductance_ratio(points.signals, design, of_point)
+    slopes = hx.design_gradient(points.signals, design, of_point, ratio)
     usable = np.isfinite(slopes).all(axis=1)
     return np.asarray(slopes[usable].mean(axis=0) if usable.any() else np.zeros(len(hx.NAMES)))
 

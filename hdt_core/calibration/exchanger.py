@@ -4,11 +4,12 @@ Design, priors, bounds and sensors are those of the component's declaration; thi
 sample, with the sensors' biases removed.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from hdt_core.components.exchanger import HX
+from hdt_core.estimation.panel import forward_differences
 from hdt_core.flight.legs import MODEL_SIGNALS
 from hdt_core.physics.air import mean_specific_heat_j_kg_k
 from hdt_core.physics.heat_exchanger import measured_conductance_w_k
@@ -20,6 +21,8 @@ _DESIGN = HX.model.free("design")
 NAMES = tuple(p.name for p in _DESIGN)
 MEAN, SD = np.array([p.nominal for p in _DESIGN]), np.array([declared(p.sd) for p in _DESIGN])
 LOW, HIGH = HX.model.bounds("design").T
+STEP, STEP_SDS = 1e-4, 0.01
+"""Of derivatives: of a design parameter, and of a sensor's bias in its standard deviations."""
 
 BIASES = ("pack_flow_kg_s", "hx_in_k", "hx_out_k", "tat_k", "ram_door_open", "ram_out_k")
 _SENSORS = [HX.model.signal(name) for name in BIASES]
@@ -57,19 +60,10 @@ def ln_conductance_ratio(signals: Mapping[str, Array], design: Array, bias: Arra
         return np.log(ua_w_k) - ln_clean_conductance(s, ram, design)
 
 
-def design_gradient(
-    signals: Mapping[str, Array],
-    design: Array,
-    bias: Array,
-    ratio: Array,
-    function: Callable[[Mapping[str, Array], Array, Array], Array] = ln_conductance_ratio,
-) -> Array:
-    """Compute the derivative of `function`, whose values are `ratio`, by each design parameter. (n, p)"""
-    columns = []
-    for j, unit in enumerate(np.eye(len(design))):
-        step = 1e-4 if design[j] + 1e-4 <= HIGH[j] else -1e-4
-        columns.append((function(signals, design + step * unit, bias) - ratio) / step)
-    return np.stack(columns, axis=1)
+def design_gradient(signals: Mapping[str, Array], design: Array, bias: Array, ratio: Array) -> Array:
+    """Compute the derivative of `ln_conductance_ratio`, whose values are `ratio`, by each design parameter. (n, p)"""
+    step = np.full(len(design), STEP)
+    return forward_differences(lambda d: ln_conductance_ratio(signals, d, bias), design, ratio, step, HIGH)
 
 
 def ln_ram_flow_ratio(signals: Mapping[str, Array], design: Array, bias: Array) -> Array:

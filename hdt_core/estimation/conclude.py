@@ -126,7 +126,7 @@ def conclude(
         checks = check(problem, local, variance)
         status = checks.status
     if status in ("converged", "approximate") and not is_inside:
-        status = "at_bound" if _rests_on_bound(problem.bounds, theta, local) else status
+        status = "at_bound" if rests_on_bound(problem.bounds, theta, local) else status
     total = local if cov is None else cov
     if variance > 1.0 and not own_objective and is_finite:
         total = total + covariance_of_free(problem.bounds, data.information / variance + prior)[0] - local
@@ -191,7 +191,7 @@ def _check_ranges(problem: Problem, cov: Array, variance: float, passes: int = 0
     return _Checks("converged", passes) if passes else PASSED
 
 
-def _rests_on_bound(bounds: Array, theta: Array, cov: Array) -> bool:
+def rests_on_bound(bounds: Array, theta: Array, cov: Array) -> bool:
     """Check for a free parameter within a thousandth of its standard deviation of a limit."""
     for (low, high), value, variance in zip(bounds.tolist(), theta.tolist(), cov.diagonal().tolist(), strict=True):
         margin = 1e-3 * min(variance, 1e300) ** 0.5

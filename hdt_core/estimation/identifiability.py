@@ -10,6 +10,7 @@ from hdt_core.estimation.damped import inverse_spd
 from hdt_core.estimation.problem import Array, Problem
 
 SAFE = 1e-10  # a scaled determinant from which a Cholesky factor is as good as an eigenvalue decomposition
+FEW = 8  # parameters, up to which compiled loops beat LAPACK
 SINGULAR = 1e14  # condition of the scaled information from which central differences are no better than a zero
 
 
@@ -82,9 +83,10 @@ def invert_information(information: Array) -> tuple[Array, bool]:
 
     Parameters in an unobservable direction get an infinite variance.
     """
-    inverse, determinant = inverse_spd(information)
-    if determinant > SAFE:
-        return inverse, True
+    if len(information) <= FEW:
+        inverse, determinant = inverse_spd(information)
+        if determinant > SAFE:
+            return inverse, True
     size = np.sqrt(np.maximum(information.diagonal(), 0.0))
     size[size == 0.0] = 1.0
     scales = size[:, None] * size

@@ -11,13 +11,13 @@ from known_fleet import fleet_with_truth
 from hdt_core.calibration import calibrate as calibration
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration import missing_physics
-from hdt_core.calibration.arrays import correct_inputs, cruise_samples, flights_of, level_points, to_points
+from hdt_core.calibration.arrays import correct_inputs, flights_of
 from hdt_core.calibration.calibrate import _draft_model, _middle_flows, _select_admitted, calibrate, exchanger_levels
 from hdt_core.calibration.compressor import probe_corrections
 from hdt_core.calibration.compressor_fit import _group_slope, fit_compressor
 from hdt_core.calibration.diffuser_line import BlockRows, fit_line, rows_of
 from hdt_core.calibration.dsm import version_of
-from hdt_core.calibration.exchanger_fit import fit_exchanger, instruments_of
+from hdt_core.calibration.exchanger_fit import instruments_of
 from hdt_core.calibration.forms import _thin, compare_forms
 from hdt_core.calibration.initial_wear import _clean_units, entry_posterior
 from hdt_core.calibration.inlet_law import full_open_inlet_k
@@ -94,19 +94,6 @@ def test_instruments_are_logarithms_about_a_middling_cruise():
     at = dict(tat_k=255.0, total_pressure_pa=3e4, hx_in_k=400.0, mach=0.83, pack_flow_kg_s=0.8)  # noqa: C408
     signals = {n: np.array([v * np.exp(0.1 * k), np.nan]) for k, (n, v) in enumerate(at.items(), 1)}
     np.testing.assert_allclose(instruments_of(signals), [[0.1, 0.2, 0.3, 0.4, 0.5, 0.01, 0.04, 0.02], [0.0] * 8])
-
-
-@pytest.mark.parametrize(("n_known", "has_ram_outlet"), [(19, False), (20, True)])
-def test_twenty_points_of_a_ram_outlet_fix_the_ram_flow(small, n_known, has_ram_outlet):
-
-    packs = small.samples.select("operator", "tail", "pack").unique().sort("pack")
-    points = to_points(level_points(cruise_samples(small.samples), flights_of(small.samples)), packs)
-    points.signals["ram_out_k"] = np.where(np.arange(len(points)) < n_known, points.signals["ram_out_k"], np.nan)
-    fit = fit_exchanger(points, np.zeros((2, 6)), np.tile(hx.BIAS_SDS, (2, 1)))
-    assert (fit.has_ram_outlet, fit.converged) == (has_ram_outlet, True)
-    nothing = fit_exchanger(replace(points, pack=points.pack[:0]), np.full((1, 6), 0.1), np.tile(hx.BIAS_SDS, (1, 1)))
-    assert nothing.converged
-    np.testing.assert_array_equal(nothing.bias, [[0.1] * 6])
 
 
 def test_a_tail_counts_its_flights_by_departure_whatever_its_packs():

@@ -1,0 +1,291 @@
+"""Estimate parameters that many units share, beside those of each unit and a level of each of its flights.
+
+Rows are those of many units in order of time. The design is shared by all; every unit has parameters of its own with a
+prior, such as the biases of its sensors; the level of a unit walks at random, so that what drifts isn't taken for
+design. Where a controller answers to the level, the rows' derivatives depend on it and plain least squares is biased:
+the derivatives are then regressed on instruments, which move them and don't depend on the level.
+
+References
+----------
+.. [1] J. M. Wooldridge, Econometric Analysis of Cross Section and Panel Data, 2nd ed., 2010, chapters 5 and 11.
+.. [2] P. W. Holland and R. E. Welsch, Robust regression using iteratively reweighted least-squares, Communications in
+   Statistics A6(9), 1977.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solveh_banded
+
+from hdt_core.estimation.conclude import rests_on_bound
+from hdt_core.estimation.estimate import Estimate, Status
+from hdt_core.estimation.identifiability import Identifiability, covariance_of_free
+from hdt_core.estimation.problem import Array, Belief
+
+MAX_STEP = 0.5  # of a parameter of the order of one, in one iteration
+Integers = npt.NDArray[Any]
+Residual = Callable[[Array, Array], Array]
+"""Of the design (p,) and the parameters of each row's unit (q, n): (n,), NaN where a row is unusable."""
+
+
+@dataclass(frozen=True, slots=True)
+class Equation:
+    """Residual of every row, with the error `sd` of the equation itself; of neighbouring rows, which are not
+    independent, `design_effect` count as one."""
+
+    residual: Residual
+    sd: float
+    design_effect: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """Level of a unit: a random walk of `step_sd` a unit of time that begins within `first_sd` of 0; each time scatters
+    about it by `time_sd`."""
+
+    step_sd: float
+    time_sd: float
+    first_sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """Rows of units with p parameters that all share, the design, and q of each unit.
+
+    Parameters
+    ----------
+    names : tuple of str, p of them
+    bounds : array (p, 2)
+    prior : Belief
+        About the design; its mean is the start.
+    unit_mean, unit_sd : array (units, q)
+        Prior of each unit's parameters. A unit without rows keeps it.
+    unit, time : array (n,) of int
+        Of each row; rows are sorted by both.
+    levelled : Equation
+        Its residual is the unit's level at that time.
+    walk : Walk
+    noise_sd : array (n, q)
+        Noise of each row in the quantities that the unit's parameters shift.
+    step, unit_step : array (p,), (q,)
+        Of derivatives by differences.
+    others : tuple of Equation
+        Of residuals without a level.
+    instruments : array (n, k), optional
+        None: derivatives count as they are.
+    prior_terms : function of the design (p,) -> (m,)
+        Further residuals of the design alone, of standard deviation 1.
+    """
+
+    names: tuple[str, ...]
+    bounds: Array
+    prior: Belief
+    unit_mean: Array
+    unit_sd: Array
+    unit: Integers
+    time: Integers
+    levelled: Equation
+    walk: Walk
+    noise_sd: Array
+    step: Array
+    unit_step: Array
+    others: tuple[Equation, ...] = ()
+    instruments: Array | None = None
+    prior_terms: Callable[[Array], Array] = lambda design: design[:0]
+
+
+class _Levels(NamedTuple):
+    """Level of each row, unit of each of m levels, time since the unit's level before, infinite for its first."""
+
+    of_row: Integers
+    unit: Integers
+    gap: Array
+
+
+class _Normal(NamedTuple):
+    """Normal equations of the design by the rows alone, and how units and levels follow a step of it."""
+
+    information: Array  # (p, p)
+    right: Array  # (p,)
+    of_unit: Array  # (units, q, p + 1)
+    of_level: Array  # (m, p + q + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class PanelLeastSquares:
+    """Gauss-Newton on design, units and levels together, with Cauchy's weights; a level that jumps is freed.
+
+    Eliminating the levels costs a tridiagonal solve, eliminating a unit's parameters one of q x q: the work is linear
+    in rows.
+
+    Parameters
+    ----------
+    max_steps, min_steps : int
+    tolerance, max_step : float
+        Step of the design below which it has settled, and the largest one taken.
+    cauchy_sd : float
+        Standard deviations at which a row's weight is halved.
+    jump_sd, jump_freedom, steps_before_jumps
+        After so many steps, a level that moves by more than `jump_sd` steps of its walk has the walk's variance there
+        raised by the factor `jump_freedom`.
+    """
+
+    name: str = "panel"
+    max_steps: int = 15
+    min_steps: int = 7
+    tolerance: float = 1e-4
+    max_step: float = MAX_STEP
+    cauchy_sd: float = 3.0
+    jump_sd: float = 4.0
+    jump_freedom: float = 1e3
+    steps_before_jumps: int = 3
+
+    def estimate(self, panel: Panel) -> tuple[Estimate, Array]:
+        """Estimate the design, and the parameters of each unit, (units, q).
+
+        The status is `converged`, `at_bound`, `max_steps` or `not_identifiable`; identifiability is that of the rows
+        alone, the units' parameters within their priors.
+        """
+        design, units, level = panel.prior.mean, panel.unit_mean, None
+        n_steps = 0
+        status: Status = "max_steps"
+        data = Identifiability(panel.names, np.zeros_like(panel.prior.cov))
+        if not len(panel.unit):
+            return Estimate(panel.prior, "converged", 0, data, method=self.name), units
+        levels = _index_levels(panel)
+        gap = levels.gap
+        while n_steps < self.max_steps and (status == "max_steps" or n_steps < self.min_steps):
+            normal = self._eliminate(panel, levels._replace(gap=gap), design, units, level)
+            target, cov, is_finite = self._solve(panel, design, normal)
+            step, design, n_steps = target - design, target, n_steps + 1
+            change = normal.of_unit @ np.r_[-step, 1.0]
+            units = units + change
+            moves = np.column_stack([np.tile(step, (len(gap) + 1, 1)), change[levels.unit], np.ones(len(gap) + 1)])
+            level = (normal.of_level * moves).sum(axis=1)
+            if n_steps > self.steps_before_jumps:
+                is_jump = np.abs(np.diff(level)) > self.jump_sd * panel.walk.step_sd
+                gap = levels.gap * (1.0 + self.jump_freedom * is_jump)
+            status = "converged" if np.abs(step).max() < self.tolerance else "max_steps"
+            data = Identifiability(panel.names, normal.information)
+        if not is_finite or rests_on_bound(panel.bounds, design, cov):
+            status = "at_bound" if is_finite else "not_identifiable"
+        n_evals = n_steps * (1 + design.size + units.shape[1])
+        return Estimate(Belief(design, cov), status, n_evals, data, method=self.name), units
+
+    def _solve(self, panel: Panel, design: Array, normal: _Normal) -> tuple[Array, Array, bool]:
+        """Add the priors and solve for the next design, inside its bounds; return also its covariance, and whether that
+        is finite."""
+        prior, terms = panel.prior, panel.prior_terms(design)
+        slope = forward_differences(panel.prior_terms, design, terms, panel.step, panel.bounds[:, 1])
+        information = normal.information + prior.information + slope.T @ slope
+        right = normal.right + prior.information @ (prior.mean - design) - slope.T @ terms
+        low, high = panel.bounds.T
+        is_held = ((design <= low) & (right < 0.0)) | ((design >= high) & (right > 0.0))
+        free_cov = covariance_of_free(np.where(is_held[:, None], 0.0, panel.bounds), information)[0]
+        step = np.clip(np.where(np.isfinite(free_cov), free_cov, 0.0) @ right, -self.max_step, self.max_step)
+        return np.clip(design + step, low, high), *covariance_of_free(panel.bounds, information)
+
+    def _eliminate(self, panel: Panel, levels: _Levels, design: Array, units: Array, level: Array | None) -> _Normal:
+        """Linearise here, and eliminate levels and units for any step of the design."""
+        expected, nothing = (None, None) if level is None else (level[levels.of_row], np.zeros(len(panel.unit)))
+        columns, weight = self._linearise(panel, panel.levelled, design, units, expected)
+        gram, of_level = _eliminate_levels(panel, levels, columns, weight)
+        for equation in panel.others:
+            columns, weight = self._linearise(panel, equation, design, units, nothing)
+            gram += _cross_by_unit(panel.unit, len(units), columns * weight[:, None], columns)
+        p, own = design.size, slice(design.size, -1)
+        prior = panel.unit_sd[:, :, None] ** -2.0 * np.eye(units.shape[1])
+        right = (panel.unit_mean - units) / panel.unit_sd**2 - gram[:, own, -1]
+        of_unit = np.linalg.solve(gram[:, own, own] + prior, np.concatenate([gram[:, own, :p], right[..., None]], 2))
+        total, share = gram[:, :p].sum(axis=0), (gram[:, :p, own] @ of_unit).sum(axis=0)
+        return _Normal(total[:, :p] - share[:, :p], -total[:, -1] - share[:, -1], of_unit, of_level)
+
+    def _linearise(
+        self, panel: Panel, equation: Equation, design: Array, units: Array, expected: Array | None
+    ) -> tuple[Array, Array]:
+        """Compute derivatives by design and unit and the residual, (n, p + q + 1), and weights (n,), 0 where unusable.
+
+        Noise is propagated through the equation; Cauchy's weights are about the `expected` residual.
+        """
+        of_row, function = units[panel.unit].T, equation.residual
+        residual, origin = function(design, of_row), np.zeros(units.shape[1])
+        by_design = forward_differences(lambda d: function(d, of_row), design, residual, panel.step, panel.bounds[:, 1])
+        by_unit = forward_differences(
+            lambda shift: function(design, of_row + shift[:, None]), origin, residual, panel.unit_step
+        )
+        columns = np.column_stack([by_design, by_unit, residual])
+        usable = np.asarray(np.isfinite(columns).all(axis=1))
+        columns = np.where(usable[:, None], columns, 0.0)
+        noise = ((columns[:, design.size : -1] * panel.noise_sd) ** 2).sum(axis=1)
+        weight = np.where(usable, 1.0 / (noise + equation.sd**2), 0.0)
+        square = 0.0 if expected is None else (columns[:, -1] - expected) ** 2 * weight
+        return columns, weight / (1.0 + square / self.cauchy_sd**2) / equation.design_effect
+
+
+def forward_differences(
+    function: Callable[[Array], Array], x: Array, value: Array, step: Array, upper: Array | float = np.inf
+) -> Array:
+    """Compute the derivatives of `function`, which has this `value` (n,) at `x` (p,): (n, p). Backwards where the step
+    would pass `upper`."""
+    moves = np.diag(np.where(x + step <= upper, step, -step))
+    return np.reshape([(function(x + move) - value) / move.sum() for move in moves], (x.size, value.size)).T
+
+
+def _index_levels(panel: Panel) -> _Levels:
+    starts = np.r_[True, (np.diff(panel.unit) != 0) | (np.diff(panel.time) != 0)]
+    unit, time = panel.unit[starts], panel.time[starts]
+    return _Levels(np.cumsum(starts) - 1, unit, np.where(np.diff(unit) != 0, np.inf, np.diff(time)))
+
+
+def _cross_by_unit(unit: Integers, n_units: int, left: Array, right: Array) -> Array:
+    """Compute the cross products of columns over the rows of each unit. (units, a, b)"""
+    ends = np.searchsorted(unit, np.arange(n_units + 1))
+    return np.stack([left[a:b].T @ right[a:b] for a, b in pairwise(ends)])
+
+
+def _eliminate_levels(panel: Panel, levels: _Levels, columns: Array, weight: Array) -> tuple[Array, Array]:
+    """Compute cross products of each unit's columns with the levels eliminated, (units, p + q + 1, p + q + 1), and what
+    the walk leaves of each column, (m, p + q + 1).
+
+    Rows of a level are compared as they are, levels through the instruments: two-stage least squares.
+    """
+    n, k = len(panel.unit_mean), columns.shape[1]
+    means, total = _level_means(levels, weight, columns, panel.instruments)
+    level_weight = 1.0 / (1.0 / total + panel.walk.time_sd**2 * panel.levelled.design_effect)
+    smoothed = _smooth(panel, levels, level_weight, means)
+    innovation = (means - smoothed) * level_weight[:, None]
+    predictor, pull = means[:, : k - 1], innovation[:, : k - 1]
+    if panel.instruments is not None:
+        z, z_innovation = means[:, k:], innovation[:, k:]
+        first_stage = np.linalg.solve(z.T @ z_innovation + 1e-9 * np.eye(z.shape[1]), z_innovation.T @ predictor)
+        predictor, pull = z @ first_stage, z_innovation @ first_stage
+    deviation = columns - means[levels.of_row, :k]
+    gram = _cross_by_unit(panel.unit, n, deviation * weight[:, None], deviation)
+    gram[:, :-1] += _cross_by_unit(levels.unit, n, pull, np.column_stack([predictor, means[:, k - 1]]))
+    return gram, smoothed[:, :k]
+
+
+def _level_means(levels: _Levels, weight: Array, columns: Array, more: Array | None) -> tuple[Array, Array]:
+    """Average columns over the rows of each level with weights; return also the weight of each level."""
+    n = len(levels.unit)
+    total = np.bincount(levels.of_row, weight, n) + 1e-9
+    every = columns if more is None else np.column_stack([columns, more])
+    sums = np.stack([np.bincount(levels.of_row, weight * c, n) for c in every.T], axis=1)
+    return np.asarray(sums / total[:, None]), np.asarray(total)
+
+
+def _smooth(panel: Panel, levels: _Levels, weight: Array, values: Array) -> Array:
+    """Smooth values (m, columns) by the random walk of each unit: a tridiagonal solve."""
+    stiffness = 1.0 / (panel.walk.step_sd**2 * panel.levelled.design_effect * levels.gap)
+    band = np.zeros((2, len(weight)))
+    band[1] = weight + np.r_[True, levels.gap == np.inf] / panel.walk.first_sd**2
+    band[1, :-1] += stiffness
+    band[1, 1:] += stiffness
+    band[0, 1:] = -stiffness
+    if len(weight) == 1:  # LAPACK's tridiagonal solver wants two
+        return np.asarray(weight[:, None] * values / band[1])
+    return np.asarray(solveh_banded(band, weight[:, None] * values))
