@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import polars as pl
 
 from hdt_core.calibration.dsm import Dsm
@@ -22,7 +21,7 @@ OUTLOOKS = """
     on c.operator = d.operator and c.tail = d.tail and c.pack = d.pack and c.component = d.component"""
 """Chance of a message before the next chance to act, and due date, of each unit and component."""
 
-_LONGEST_CRUISE = """
+_SEGMENT = """
     with best as (
         select operator, flight_id, pack from tables.legs_samples
         where monitored and phase = 'cruise' and hx_out_k is not null
@@ -31,9 +30,11 @@ _LONGEST_CRUISE = """
         order by max(n_averaged) > 1 desc, count(*) desc, max(time_utc) desc, pack
         limit 1
     )
-    select t.* from best join {table} as t
-    on best.operator = t.operator and best.flight_id = t.flight_id and best.pack = t.pack"""
-"""Rows of the flight and pack with the most cruise samples: continuous logs first, then the latest."""
+    select s.*, t as twin from best
+    join tables.legs_samples as s on best.operator = s.operator and best.flight_id = s.flight_id and best.pack = s.pack
+    join tables.twin_flights as t on best.operator = t.operator and best.flight_id = t.flight_id and best.pack = t.pack
+    order by s.time_utc, s.source"""
+"""Samples of the flight and pack with most cruise, continuous logs first, then the latest; `twin` is its estimate."""
 
 _FRAMES = {
     "ranking": "select * from fleet_ranking order by place",
@@ -85,17 +86,18 @@ _FRAMES = {
         from tables.twin_flights as t
         join legs as l on t.operator = l.operator and t.flight_id = l.flight_id and t.pack = l.pack
         order by t.departed_at, t.flight_id, t.pack""",
-    "segment": _LONGEST_CRUISE.format(table="tables.legs_samples") + " order by t.time_utc, t.source",
-    "twin_flight": _LONGEST_CRUISE.format(table="tables.twin_flights"),
+    "segment": _SEGMENT,
 }
+_OF_NO_UNIT = {"design", "filter_yield", "reasons", "quarantine", "deliveries", "twin", "segment"}
+"""Frames that the tables and cards of units do not show."""
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
     """Frames of the catalog by subject.
 
-    Of the figures' frames `twin` has a row a flight and pack, `segment` the samples of one flight and pack and
-    `twin_flight` its estimate. `card` is the model card, `dsm` the model in service, None before the first; `tasks` is
+    Of the figures' frames `twin` has a row a flight and pack, `segment` the samples of one flight and pack with its
+    estimate. `card` is the model card, `dsm` the model in service, None before the first; `tasks` is
     the work of each action.
     """
 
@@ -116,10 +118,11 @@ class Facts:
         return self.frames[name].filter(operator=operator, tail=tail, pack=pack)
 
 
-def read_facts(home: Path) -> Facts:
-    """Read the facts of a home."""
+def read_facts(home: Path, *, units_only: bool = False) -> Facts:
+    """Read the facts of a home, all or those of its units."""
     with connect(home) as con:
-        frames = {name: _frame(con, sql) for name, sql in _FRAMES.items()}
+        names = [name for name in _FRAMES if not (units_only and name in _OF_NO_UNIT)]
+        frames = {name: con.sql(_FRAMES[name]).pl() for name in names}
         cards = con.execute("select card from tables.prognosis_model order by month desc limit 1").fetchall()
         models = con.execute("select model from tables.calibration_dsm limit 1").fetchall()
         card = json.loads(cards[0][0]) if cards else {}
@@ -130,12 +133,6 @@ def views_read() -> list[str]:
     """List the views that the page reads."""
     queries = " ".join(_FRAMES.values())
     return [view for view in views() if re.search(rf"\b{view}\b", queries)]
-
-
-def _frame(con: duckdb.DuckDBPyConnection, sql: str) -> pl.DataFrame:
-    frame = pl.from_arrow(con.sql(sql).to_arrow_table())
-    assert isinstance(frame, pl.DataFrame)
-    return frame
 
 
 def _dsm(models: list[tuple[str]]) -> Dsm | None:

@@ -101,10 +101,11 @@ def outlet_temperature(facts: Facts) -> Figure:
 
 def _samples_with_residuals(facts: Facts) -> pl.DataFrame | None:
     """Return cruise samples of the replacement flight with their residuals."""
-    if facts.dsm is None or not facts["segment"].height or not facts["twin_flight"].height:
+    segment = facts["segment"]
+    if facts.dsm is None or not segment.height:
         return None
-    cruise = facts["segment"].filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
-    samples = outlet_residuals(cruise, facts["twin_flight"], facts.dsm)
+    cruise = segment.drop("twin").filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
+    samples = outlet_residuals(cruise, segment.select("twin").head(1).unnest("twin"), facts.dsm)
     return samples if samples.height else None
 
 

@@ -56,7 +56,7 @@ def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
 
 @lru_cache(maxsize=1)
 def _shift_of(home: Path, _version: tuple[int, int]) -> tuple[dict[str, Any], Digest]:
-    return tonight_with_cards(read_facts(home), alert_limits(home).fouling), changes_since(home)
+    return tonight_with_cards(read_facts(home, units_only=True), alert_limits(home).fouling), changes_since(home)
 
 
 def _read_shift(home: Path) -> tuple[dict[str, Any], Digest]:
