@@ -96,8 +96,8 @@ _OF_NO_UNIT = {"design", "filter_yield", "reasons", "quarantine", "deliveries", 
 class Facts:
     """Frames of the catalog by subject.
 
-    Of the figures' frames `twin` has a row a flight and pack, `segment` the samples of one flight and pack with its
-    estimate. `card` is the model card, `dsm` the model in service, None before the first; `tasks` is
+    Of the figures' frames `twin` has a row a flight and pack, `segment` the samples of one flight and pack and
+    `twin_flight` its estimate. `card` is the model card, `dsm` the model in service, None before the first; `tasks` is
     the work of each action.
     """
 
@@ -123,6 +123,9 @@ def read_facts(home: Path, *, units_only: bool = False) -> Facts:
     with connect(home) as con:
         names = [name for name in _FRAMES if not (units_only and name in _OF_NO_UNIT)]
         frames = {name: con.sql(_FRAMES[name]).pl() for name in names}
+        if not units_only:
+            frames["twin_flight"] = frames["segment"].select("twin").head(1).unnest("twin")
+            frames["segment"] = frames["segment"].drop("twin")
         cards = con.execute("select card from tables.prognosis_model order by month desc limit 1").fetchall()
         models = con.execute("select model from tables.calibration_dsm limit 1").fetchall()
         card = json.loads(cards[0][0]) if cards else {}

@@ -101,11 +101,10 @@ def outlet_temperature(facts: Facts) -> Figure:
 
 def _samples_with_residuals(facts: Facts) -> pl.DataFrame | None:
     """Return cruise samples of the replacement flight with their residuals."""
-    segment = facts["segment"]
-    if facts.dsm is None or not segment.height:
+    if facts.dsm is None or not facts["segment"].height:
         return None
-    cruise = segment.drop("twin").filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
-    samples = outlet_residuals(cruise, segment.select("twin").head(1).unnest("twin"), facts.dsm)
+    cruise = facts["segment"].filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
+    samples = outlet_residuals(cruise, facts["twin_flight"], facts.dsm)
     return samples if samples.height else None
 
 
