@@ -1,7 +1,6 @@
 """The dashboard in a real browser: each tab shows what the catalog has, an operator less is an operator less."""
 
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -11,12 +10,12 @@ from pathlib import Path
 
 import duckdb
 import pytest
-from playwright.sync_api import Page, expect, sync_playwright
+from browsers import NEEDS_CHROMIUM, launched
+from playwright.sync_api import Page, expect
 from streamlit.testing.v1 import AppTest
 
 ROOT = Path(__file__).parents[2]
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+pytestmark = NEEDS_CHROMIUM
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +36,8 @@ def address(sample_home: Path) -> Iterator[str]:
 def page(address: str) -> Iterator[Page]:
     """The page when its tabs are there; what it fetched from elsewhere is looked at in the end."""
     elsewhere: list[str] = []
-    with sync_playwright() as started:
-        page = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"]).new_page()
+    with launched() as browser:
+        page = browser.new_page()
         page.set_default_timeout(60_000)
         page.on("request", lambda r: None if r.url.startswith((address, "data:", "blob:")) else elsewhere.append(r.url))
         for _ in range(200):

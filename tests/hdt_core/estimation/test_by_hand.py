@@ -117,6 +117,7 @@ def test_a_plot_has_a_band_of_two_sigmas_about_nothing():
     assert (band.y0, band.y1) == pytest.approx((-2.0, 2.0))
     assert set(zero.get_ydata()) == {0.0}
     np.testing.assert_allclose(points.get_ydata(), NonlinearLeastSquares().estimate(line()).fit.residuals[:, 0])
+    assert "adequate" in axes.get_title()
 
 
 @pytest.mark.parametrize(
@@ -258,7 +259,8 @@ def test_where_a_model_fails_on_one_side_it_is_steep_and_on_both_it_is_flat():
     {"prior": Belief(np.zeros(2), np.diag([0.0, 1.0]))}, {"sigma": np.zeros(1)}, {"sigma": np.array([-0.5])},
     {"prior": Belief(np.zeros(2), np.diag([1.0, -0.5]))}, {"bounds": np.array([[1.0, 0.0], [0.0, 1.0]])},
     {"bounds": np.zeros((2, 3))}, {"bounds": np.zeros((3, 2))}, {"measured": np.zeros((12, 2))},
-    {"measured": np.zeros(12)}, {"prior": Belief(np.zeros(2), np.eye(3))}, {"prior": Belief(np.zeros(3), np.eye(2))},
+    {"measured": np.zeros(12)}, {"measured": np.zeros(4), "sigma": np.zeros(0)},
+    {"prior": Belief(np.zeros(2), np.eye(3))}, {"prior": Belief(np.zeros(3), np.eye(2))},
 ], ids=str)  # fmt: skip
 def test_a_problem_that_makes_no_sense_is_refused(wrong):
     with pytest.raises(ValueError, match=r"names|measured|positive|bound"):

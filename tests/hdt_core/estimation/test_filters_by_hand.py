@@ -28,7 +28,6 @@ from hdt_core.estimation.kalman import (
     _with_last_mean,
     forward,
     report,
-    smooth,
     standardise_innovations,
     trajectory,
 )
@@ -169,33 +168,6 @@ def test_innovations_are_standardised_by_the_root_of_their_precision():
     problem = line(measured=np.array([[1.0, 1.0], [np.nan, 1.0]]), sigma=np.ones(2))
     rows = standardise_innovations(problem, [whole, half])
     np.testing.assert_allclose(rows, [sqrtm(precision) @ error, [np.nan, np.sqrt(2.0) * -0.7]])
-
-
-def test_a_smoothed_covariance_is_that_of_all_samples():
-    """A walk of three samples with process noise against the inverse of the information of all at once."""
-    walk = Problem(
-        (),
-        np.empty((0, 2)),
-        Belief(np.empty(0), np.empty((0, 0))),
-        np.array([[1.0], [2.0], [0.5]]),
-        np.array([0.5]),
-        lambda x, _t, _i: x,
-        lambda x, _t, _i: 0.9 * x,
-        Belief(np.array([0.3]), np.array([[2.0]])),
-        np.array([0.7]),
-    )
-    beliefs = smooth(forward(walk, tangent))
-    info = np.diag([1 / 2.0, 0.0, 0.0]) + np.eye(3) / 0.25
-    for i in range(2):
-        step = np.zeros(3)
-        step[i], step[i + 1] = 0.9, -1.0
-        info += np.outer(step, step) / 0.49
-    cov = np.linalg.inv(info)
-    np.testing.assert_allclose([b.cov[0, 0] for b in beliefs], np.diag(cov), rtol=1e-9)
-    right = walk.measured[:, 0] / 0.25 + np.array([0.3 / 2.0, 0, 0])
-    np.testing.assert_allclose([b.mean[0] for b in beliefs], cov @ right, rtol=1e-9)
-    (alone,) = smooth(forward(replace(walk, measured=walk.measured[:1]), tangent))  # 1 / (1 / 2 + 1 / 0.25)
-    np.testing.assert_allclose((alone.cov[0, 0], alone.mean[0]), (1 / 4.5, (4.0 + 0.15) / 4.5))
 
 
 @pytest.mark.parametrize(("points", "passes"), [(False, 2), (True, 5)])

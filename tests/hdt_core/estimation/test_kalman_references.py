@@ -140,8 +140,13 @@ def test_smoother_equals_the_solution_of_all_samples_at_once(method):
             step = np.hstack([F, -np.eye(s)])
             both = slice(i * s, (i + 2) * s)
             information[both, both] += step.T @ np.diag(problem.process_sd**-2.0) @ step
-    expected = np.linalg.solve(information, vector).reshape(k, s)
-    np.testing.assert_allclose([b.mean for b in ours], expected, atol=1e-8)
+    cov = np.linalg.inv(information)
+    np.testing.assert_allclose([b.mean for b in ours], (cov @ vector).reshape(k, s), atol=1e-8)
+    blocks = cov.reshape(k, s, k, s)[np.arange(k), :, np.arange(k)]
+    np.testing.assert_allclose([b.cov for b in ours], blocks, atol=1e-8)
+    first = replace(problem, measured=problem.measured[:1])
+    (alone,) = smooth(forward(first, linearisation(method, 3)))  # nothing follows it: what the filter says
+    np.testing.assert_allclose(alone.cov, forward(first, linearisation(method, 3)).covs[0], atol=1e-12)
 
 
 def regression_problem():

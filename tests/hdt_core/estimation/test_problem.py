@@ -25,33 +25,6 @@ def line(measured=None, prior=None, **more):
     )
 
 
-def test_belief_states_intervals_and_information():
-    belief = Belief(np.array([1.0, 2.0]), np.diag([4.0, np.inf]))
-    np.testing.assert_allclose(belief.information, np.diag([0.25, 0.0]))
-    np.testing.assert_allclose(belief.interval(0.9)[0], [1.0 - 3.28971, 1.0 + 3.28971], atol=1e-5)
-    full = Belief(np.zeros(2), np.array([[2.0, 0.5], [0.5, 1.0]]))
-    np.testing.assert_allclose(full.information @ full.cov, np.eye(2), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "fault",
-    [
-        {"bounds": np.zeros((3, 2))},
-        {"bounds": np.array([[1.0, 0.0], [0.0, 1.0]])},
-        {"prior": Belief(np.zeros(2), np.diag([0.0, 1.0]))},
-        {"prior": Belief(np.zeros(1), np.eye(2))},
-        {"prior": Belief(np.zeros(2), np.eye(3))},
-        {"sigma": np.array([0.0])},
-        {"sigma": np.array([0.1, 0.1])},
-        {"measured": np.zeros(4), "sigma": np.zeros(0)},
-    ],
-    ids=["shape", "order", "no variance", "mean's shape", "covariance's shape", "no noise", "outputs", "no outputs"],
-)
-def test_a_question_that_makes_no_sense_is_refused(fault):
-    with pytest.raises(ValueError, match=r"bounds|bound|variances|sigma"):
-        replace(line(), **fault)
-
-
 def test_one_point_and_a_swarm_are_simulated_alike():
     problem = line()
     thetas = np.random.default_rng(0).normal(size=(4, 2))
@@ -60,16 +33,6 @@ def test_one_point_and_a_swarm_are_simulated_alike():
     for row, outputs in zip(thetas, many, strict=True):
         np.testing.assert_array_equal(problem.simulate(row), outputs)
     np.testing.assert_allclose(problem.chi2(thetas), [np.sum(problem.residual(row) ** 2) for row in thetas])
-
-
-def test_missing_values_weigh_nothing():
-    whole = line()
-    holed = whole.measured.copy()
-    holed[10:] = np.nan
-    problem = replace(whole, measured=holed)
-    assert problem.n_values == 10
-    assert (problem.residual(np.ones(2))[10:] == 0.0).all()
-    assert (problem.sensitivity(np.ones(2))[10:] == 0.0).all()
 
 
 def test_posterior_of_one_half_is_the_prior_of_the_other():
@@ -137,32 +100,3 @@ def test_particles_carry_states_that_are_drawn():
         estimate = estimator.estimate(problem)
         assert abs(estimate.belief.mean[0] - 0.8) < 4.0 * estimate.belief.sd[0]
         assert estimate.belief.sd[0] < 0.15
-
-
-def test_a_declared_model_becomes_a_question():
-    from hdt_core.estimation.declared import declared_problem
-    from hdt_core.physics.model import Param, PhysicsModel, Signal
-
-    def cooler(flow_kg_s, conductance_kg_s, fouling):
-        return 100.0 * np.exp(-conductance_kg_s * (1.0 - fouling) / flow_kg_s), flow_kg_s * 1.0
-
-    model = PhysicsModel(
-        name="cooler",
-        inputs=(Signal("flow_kg_s", "kg/s"),),
-        outputs=(Signal("exit_k", "K", sigma=0.5), Signal("unseen", "-")),
-        params=(
-            Param("conductance_kg_s", "kg/s", 2.0, (0.5, 5.0), "design"),
-            Param("fouling", "-", 0.0, (-0.1, 0.7), "health", drift=0.01),
-        ),
-        equations=cooler,
-    )
-    flow = np.linspace(1.0, 3.0, 30)
-    truth = model.predict({"fouling": 0.2}, {"flow_kg_s": flow})["exit_k"]
-    problem = declared_problem(
-        model, [p.name for p in model.free("health")], {"flow_kg_s": flow}, {"exit_k": truth}, flights_per_sample=1.0
-    )
-    assert problem.names == ("fouling",)
-    np.testing.assert_allclose(problem.drift, [0.01])
-    assert problem.measured.shape == (30, 1)  # an output without a sensor is not compared
-    estimate = NonlinearLeastSquares().estimate(problem)
-    assert estimate.belief.mean[0] == pytest.approx(0.2, abs=1e-9)

@@ -37,29 +37,12 @@ def test_nothing_from_the_future(cut):
         np.testing.assert_allclose(whole[name][:, :cut], early[name], atol=1e-9, err_msg=name)
 
 
-def test_a_straight_line_is_read_exactly():
-    level = np.broadcast_to(0.1 + 0.002 * np.arange(150.0), (1, 150))
-    values = features(level, np.full((1, 150), np.log(0.5)))
-    for name in ("slope_10", "slope_30", "slope_100", "slope_segment", "slope_life"):
-        assert values[name][0, 140] == pytest.approx(0.002, rel=1e-6)
-    left = 1.0 - level[0, 140]
-    assert values["reserve_95"][0, 140] == pytest.approx(np.log(left / 0.5), rel=1e-9)
-    assert values["left_linear_30"][0, 140] == pytest.approx(np.log(left / 0.5) / (0.002 / left), rel=1e-6)
-
-
 def test_what_is_asked_beyond_what_is_left_is_a_message_soon():
     level = np.broadcast_to(0.1 + 0.002 * np.arange(150.0), (1, 150))
     safe, failing = (features(level, np.full((1, 150), np.log(share))) for share in (0.2, 0.9))
     assert safe["passage_50"][0, 140] < 0.01
     assert failing["passage_50"][0, 140] > 0.99
     assert failing["passage_median"][0, 140] < 10.0 < safe["passage_median"][0, 140]
-
-
-def test_a_wash_starts_a_new_stretch():
-    level = np.concatenate([np.linspace(0.0, 0.6, 100), 0.2 + np.linspace(0.0, 0.3, 50)])[None, :]
-    values = features(level)
-    assert values["slope_segment"][0, -1] == pytest.approx(0.3 / 49, rel=0.1)
-    assert values["peak"][0, -1] == pytest.approx(0.6)
 
 
 def test_the_hazard_may_only_follow_physics_where_physics_says_how():

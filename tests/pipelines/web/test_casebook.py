@@ -2,19 +2,16 @@
 
 import itertools
 import re
-import threading
 from collections import Counter
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from ipaddress import ip_network
 from pathlib import Path
 from urllib.parse import quote
 
 import httpx
 import pytest
-import uvicorn
 from asgi_client import Client
+from browsers import served
 from case_homes import case_home
 
 from pipelines.casework import find_case, history_of
@@ -22,7 +19,7 @@ from pipelines.storage.cases import FILE
 from pipelines.storage.catalog import CATALOG
 from pipelines.web import roles
 from pipelines.web.casebook import application
-from pipelines.web.guard import LOCAL, Guard
+from pipelines.web.guard import LOCAL
 from pipelines.web.roles import Person
 from pipelines.web.sign_in import LocalToken, ProxyHeader
 
@@ -265,19 +262,6 @@ def test_a_home_that_can_not_be_read_is_told_in_one_line(tmp_path):
         assert re.search(r'role="status">[^\n]+</p>', answer.text)
         (home / what).unlink()
     assert client.get("/case/wear").status_code == 503
-
-
-@contextmanager
-def served(app: Guard) -> Iterator[str]:
-    """Address of the page on a port of its own."""
-    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="critical", proxy_headers=False))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        thread.join(0.01)
-    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
-    server.should_exit = True
-    thread.join()
 
 
 def test_many_who_come_first_at_once_are_all_answered(tmp_path):

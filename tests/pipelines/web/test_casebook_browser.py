@@ -1,26 +1,22 @@
 """The page of cases in a real browser: signing in and out, three people at once, no sideways scroll, no script."""
 
-import shutil
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from ipaddress import ip_network
 from pathlib import Path
 
 import pytest
-import uvicorn
+from browsers import NEEDS_CHROMIUM, launched, served
 from case_homes import case_home
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 
 from pipelines.casework import find_case
 from pipelines.web import roles
 from pipelines.web.casebook import application
-from pipelines.web.guard import LOCAL, Guard
+from pipelines.web.guard import LOCAL
 from pipelines.web.roles import Person
 from pipelines.web.sign_in import LocalToken, ProxyHeader
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+pytestmark = NEEDS_CHROMIUM
 HEADER = "X-Remote-User"
 
 
@@ -31,30 +27,17 @@ def home(tmp_path_factory) -> Path:
     return home
 
 
-@contextmanager
-def served(app: Guard) -> Iterator[str]:
-    """The page, served on the loopback."""
-    server = uvicorn.Server(uvicorn.Config(app, port=0, log_level="warning", proxy_headers=False))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        thread.join(0.01)
-    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}/"
-    server.should_exit = True
-    thread.join()
-
-
 @pytest.fixture(scope="module")
 def address(home: Path) -> Iterator[str]:
     """The page as it is behind the site's proxy."""
     with served(application(home, LOCAL, ProxyHeader(home, HEADER, [ip_network("127.0.0.1")]))) as address:
-        yield address
+        yield f"{address}/"
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as started:
-        yield started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    with launched() as browser:
+        yield browser
 
 
 @pytest.fixture
@@ -77,7 +60,8 @@ def enter(browser: Browser, address: str):
 
 def test_the_printed_address_or_its_token_signs_in_and_a_copied_cookie_dies_with_signing_out(browser, home):
     token = LocalToken(Person("ada"))
-    with served(application(home, LOCAL, token)) as address:
+    with served(application(home, LOCAL, token)) as place:
+        address = f"{place}/"
         page, other = (browser.new_context().new_page() for _ in range(2))
         page.goto(f"{address}case/wear?token={token.token}")
         assert page.url == f"{address}case/wear"

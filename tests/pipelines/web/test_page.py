@@ -14,10 +14,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from browsers import CHROMIUM, NEEDS_CHROMIUM
 
 from pipelines.orchestration.runs import open_instance
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 QUERY = "{ assetNodes { assetKey { path } } }"
 
 
@@ -161,7 +161,7 @@ def browse(address: str, profile: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+@NEEDS_CHROMIUM
 def test_the_page_works_in_a_browser(page, home, tmp_path):
     port, token = page
     html = browse(f"http://127.0.0.1:{port}/runs?token={token}", tmp_path / "profile")
@@ -183,7 +183,7 @@ class Evil(http.server.SimpleHTTPRequestHandler):
     def log_message(self, *_: object) -> None: ...
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+@NEEDS_CHROMIUM
 def test_another_page_in_the_browser_changes_nothing(page, home, tmp_path):
     (port, token), before = page, runs(home)
     change = json.dumps({"query": deletion(home)})

@@ -24,27 +24,9 @@ def row(name: str, kind: str, msb: int, bits: int, **more: str) -> str:
     """Line 1 of a `.par`, and the lines below it."""
     fields = {"sign": "", "offset": "", "computation": "", "format": "6.0", "unit": "", "below": "", **more}
     head = [name, f"what {name} is", kind, "A/1/00", "//", "0", fields["sign"], str(msb), str(bits), "2", "N"]
-    head += [
-        fields["offset"],
-        fields["computation"],
-        "0",
-        "1",
-        "-90000",
-        "90000",
-        "DECIMAL",
-        "",
-        "",
-        fields["format"],
-        fields["unit"],
-    ]
-    return "\n".join(
-        [
-            "1|" + "\t".join([*head, "ABC", "2009-01-01", "1", "Float", ""]),
-            *fields["below"].split(";"),
-            "12|-1",
-            "13|" + name,
-        ]
-    )
+    head += [fields["offset"], fields["computation"], *["0", "1", "-90000", "90000", "DECIMAL"], "", ""]
+    head += [fields["format"], fields["unit"], "ABC", "2009-01-01", "1", "Float", ""]
+    return "\n".join(["1|" + "\t".join(head), *fields["below"].split(";"), "12|-1", "13|" + name])
 
 
 PAR = "\n".join([
