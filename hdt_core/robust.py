@@ -53,14 +53,23 @@ def huber_weights(deviation: Array, scale: Array | float, k: float = HUBER_K) ->
     return np.asarray(1.0 / np.maximum(1.0, deviation / (k * np.maximum(scale, 1e-9))))
 
 
-def huber_slopes(x: Array, y: Array, ridge: float, steps: int) -> Array:
-    """Regress centred y (n,) on centred x (n, p) with Huber's weights; `ridge`, a share of n, keeps constant columns
-    solvable. (p,)"""
+def group_means(values: Array, group: Array, weight: Array) -> tuple[Array, Array]:
+    """Compute weighted means of the columns of values (n, p) by group, and the groups' weights. (g, p), (g,)"""
+    total = np.maximum(np.bincount(group, weight), 1e-12)
+    return np.stack([np.bincount(group, weight * column) / total for column in values.T], axis=1), total
+
+
+def huber_slopes(x: Array, y: Array, ridge: Array, steps: int, k: float = HUBER_K, group: Array | None = None) -> Array:
+    """Regress y (n,) on x (n, p) with Huber's weights, each group about a level of its own; `ridge` (p, p) keeps
+    constant columns solvable. (p,)"""
     weight: Array = np.ones(len(y))
     slopes: Array = np.zeros(x.shape[1])
     for _ in range(steps):
-        normal = x.T @ (weight[:, None] * x) + ridge * len(y) * np.eye(x.shape[1])
-        slopes = np.linalg.solve(normal, x.T @ (weight * y))
-        residual = np.abs(y - x @ slopes)
-        weight = huber_weights(residual, spread(residual))
+        rows = np.column_stack([x, y])
+        if group is not None:
+            rows -= group_means(rows, group, weight)[0][group]
+        dx, dy = rows[:, :-1], rows[:, -1]
+        slopes = np.linalg.solve(dx.T @ (weight[:, None] * dx) + ridge, dx.T @ (weight * dy))
+        residual = np.abs(dy - dx @ slopes)
+        weight = huber_weights(residual, spread(residual), k)
     return slopes

@@ -13,7 +13,7 @@ from hdt_core.calibration.arrays import Array
 from hdt_core.components.compressor import CC
 from hdt_core.physics.model import declared
 from hdt_core.records.keys import PACK
-from hdt_core.robust import huber_weights, spread, spread_expr
+from hdt_core.robust import group_means, huber_weights, spread, spread_expr
 
 BLOCK_FLIGHTS = 20
 """Flights within which a compressor hardly wears; also those from which a level as built is taken."""
@@ -67,8 +67,7 @@ class Line:
 def fit_line(rows: BlockRows) -> Line:
     """Fit the shared line, its slope corrected for the attenuation by noise in the positions."""
     slope, level, weight = _fit_slope(rows)
-    x_mean = np.bincount(rows.block, weight * rows.x) / np.bincount(rows.block, weight)
-    deviation = rows.x - x_mean[rows.block]
+    deviation = rows.x - group_means(rows.x[:, None], rows.block, weight)[0][rows.block, 0]
     reliable = 1.0 - min(VDA_NOISE_COUNTS**2 / float(np.average(deviation**2, weights=weight)), 0.5)
     centre = float(np.average(rows.x, weights=weight))
     residual = rows.y - _line_values(rows, slope, level, centre)
@@ -82,8 +81,7 @@ def _fit_slope(rows: BlockRows) -> tuple[float, Array, Array]:
     weight, scale = np.ones(len(x)), np.ones(len(rows.blocks))
     slope, level = 0.0, scale
     for _ in range(HUBER_STEPS):
-        total = np.bincount(block, weight)
-        x_mean, y_mean = (np.bincount(block, weight * v) / total for v in (x, y))
+        x_mean, y_mean = group_means(np.column_stack([x, y]), block, weight)[0].T
         dx, dy = x - x_mean[block], (y - y_mean[block]) / scale[block]
         slope = float((weight * dx * dy).sum() / max((weight * dx * dx).sum(), 1e-9))
         level = y_mean + slope * scale * (np.average(x, weights=weight) - x_mean)

@@ -54,7 +54,8 @@ def learn_inlet(cruise: pl.DataFrame, design: Array, bias: Array) -> tuple[float
     deviations = columns.filter(pl.Series(usable)).select(values - values.median().over(PACK)).to_numpy()
     x, y = deviations[:, :-1], deviations[:, -1]
     scale = np.maximum(x.std(axis=0), 1e-9)
-    return tuple(map(float, huber_slopes(x / scale, y, RIDGE, HUBER_STEPS) / scale))
+    ridge = RIDGE * len(y) * np.eye(len(scale))
+    return tuple(map(float, huber_slopes(x / scale, y, ridge, HUBER_STEPS) / scale))
 
 
 def inlet_above_law(cruise: pl.DataFrame, slopes: tuple[float, ...], design: Array, bias: Array) -> pl.DataFrame:

@@ -25,6 +25,7 @@ from hdt_core.estimation.conclude import rests_on_bound
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.identifiability import Identifiability, covariance_of_free
 from hdt_core.estimation.problem import Array, Belief
+from hdt_core.robust import group_means
 
 MAX_STEP = 0.5  # of a parameter of the order of one, in one iteration
 Integers = npt.NDArray[Any]
@@ -54,48 +55,23 @@ class Walk:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """Rows of units with p parameters that all share, the design, and q of each unit.
+    """Rows (n,) of units, sorted by unit and time, with p parameters that all share, the design, and q of each unit."""
 
-    Parameters
-    ----------
-    names : tuple of str, p of them
-    bounds : array (p, 2)
-    prior : Belief
-        About the design; its mean is the start.
-    unit_mean, unit_sd : array (units, q)
-        Prior of each unit's parameters. A unit without rows keeps it.
-    unit, time : array (n,) of int
-        Of each row; rows are sorted by both.
-    levelled : Equation
-        Its residual is the unit's level at that time.
-    walk : Walk
-    noise_sd : array (n, q)
-        Noise of each row in the quantities that the unit's parameters shift.
-    step, unit_step : array (p,), (q,)
-        Of derivatives by differences.
-    others : tuple of Equation
-        Of residuals without a level.
-    instruments : array (n, k), optional
-        None: derivatives count as they are.
-    prior_terms : function of the design (p,) -> (m,)
-        Further residuals of the design alone, of standard deviation 1.
-    """
-
-    names: tuple[str, ...]
-    bounds: Array
-    prior: Belief
-    unit_mean: Array
-    unit_sd: Array
-    unit: Integers
-    time: Integers
-    levelled: Equation
+    names: tuple[str, ...]  # of the design
+    bounds: Array  # (p, 2)
+    prior: Belief  # of the design; its mean is the start
+    unit_mean: Array  # (units, q), prior of each unit's parameters, which a unit without rows keeps
+    unit_sd: Array  # (units, q)
+    unit: Integers  # (n,)
+    time: Integers  # (n,)
+    levelled: Equation  # its residual is the unit's level at that time
     walk: Walk
-    noise_sd: Array
-    step: Array
-    unit_step: Array
-    others: tuple[Equation, ...] = ()
-    instruments: Array | None = None
-    prior_terms: Callable[[Array], Array] = lambda design: design[:0]
+    noise_sd: Array  # (n, q), noise of a row in the quantities that the unit's parameters shift
+    step: Array  # (p,), of derivatives by differences
+    unit_step: Array  # (q,)
+    others: tuple[Equation, ...] = ()  # of residuals without a level
+    instruments: Array | None = None  # (n, k); without them the derivatives count as they are
+    prior_terms: Callable[[Array], Array] = lambda design: design[:0]  # residuals of the design alone, of sd 1
 
 
 class _Levels(NamedTuple):
@@ -106,42 +82,22 @@ class _Levels(NamedTuple):
     gap: Array
 
 
-class _Normal(NamedTuple):
-    """Normal equations of the design by the rows alone, and how units and levels follow a step of it."""
-
-    information: Array  # (p, p)
-    right: Array  # (p,)
-    of_unit: Array  # (units, q, p + 1)
-    of_level: Array  # (m, p + q + 1)
-
-
 @dataclass(frozen=True, slots=True)
 class PanelLeastSquares:
     """Gauss-Newton on design, units and levels together, with Cauchy's weights; a level that jumps is freed.
 
     Eliminating the levels costs a tridiagonal solve, eliminating a unit's parameters one of q x q: the work is linear
     in rows.
-
-    Parameters
-    ----------
-    max_steps, min_steps : int
-    tolerance, max_step : float
-        Step of the design below which it has settled, and the largest one taken.
-    cauchy_sd : float
-        Standard deviations at which a row's weight is halved.
-    jump_sd, jump_freedom, steps_before_jumps
-        After so many steps, a level that moves by more than `jump_sd` steps of its walk has the walk's variance there
-        raised by the factor `jump_freedom`.
     """
 
     name: str = "panel"
     max_steps: int = 15
     min_steps: int = 7
-    tolerance: float = 1e-4
+    tolerance: float = 1e-4  # step of a parameter below which it has settled
     max_step: float = MAX_STEP
-    cauchy_sd: float = 3.0
-    jump_sd: float = 4.0
-    jump_freedom: float = 1e3
+    cauchy_sd: float = 3.0  # standard deviations at which a row's weight is halved
+    jump_sd: float = 4.0  # steps of the walk beyond which a level jumps
+    jump_freedom: float = 1e3  # by which the walk's variance is raised there
     steps_before_jumps: int = 3
 
     def estimate(self, panel: Panel) -> tuple[Estimate, Array]:
@@ -159,38 +115,44 @@ class PanelLeastSquares:
         levels = _index_levels(panel)
         gap = levels.gap
         while n_steps < self.max_steps and (status == "max_steps" or n_steps < self.min_steps):
-            normal = self._eliminate(panel, levels._replace(gap=gap), design, units, level)
+            normal, of_unit, of_level = self._eliminate(panel, levels._replace(gap=gap), design, units, level)
             target, cov, is_finite = self._solve(panel, design, normal)
             step, design, n_steps = target - design, target, n_steps + 1
-            change = normal.of_unit @ np.r_[-step, 1.0]
+            change = of_unit @ np.r_[-step, 1.0]
             units = units + change
-            moves = np.column_stack([np.tile(step, (len(gap) + 1, 1)), change[levels.unit], np.ones(len(gap) + 1)])
-            level = (normal.of_level * moves).sum(axis=1)
+            moves = np.column_stack([np.tile(step, (len(of_level), 1)), change[levels.unit], np.ones(len(of_level))])
+            level = (of_level * moves).sum(axis=1)
             if n_steps > self.steps_before_jumps:
                 is_jump = np.abs(np.diff(level)) > self.jump_sd * panel.walk.step_sd
                 gap = levels.gap * (1.0 + self.jump_freedom * is_jump)
             status = "converged" if np.abs(step).max() < self.tolerance else "max_steps"
-            data = Identifiability(panel.names, normal.information)
+            data = Identifiability(panel.names, normal[:, :-1])
         if not is_finite or rests_on_bound(panel.bounds, design, cov):
             status = "at_bound" if is_finite else "not_identifiable"
         n_evals = n_steps * (1 + design.size + units.shape[1])
         return Estimate(Belief(design, cov), status, n_evals, data, method=self.name), units
 
-    def _solve(self, panel: Panel, design: Array, normal: _Normal) -> tuple[Array, Array, bool]:
+    def _solve(self, panel: Panel, design: Array, normal: Array) -> tuple[Array, Array, bool]:
         """Add the priors and solve for the next design, inside its bounds; return also its covariance, and whether that
         is finite."""
         prior, terms = panel.prior, panel.prior_terms(design)
         slope = forward_differences(panel.prior_terms, design, terms, panel.step, panel.bounds[:, 1])
-        information = normal.information + prior.information + slope.T @ slope
-        right = normal.right + prior.information @ (prior.mean - design) - slope.T @ terms
+        information = normal[:, :-1] + prior.information + slope.T @ slope
+        right = normal[:, -1] + prior.information @ (prior.mean - design) - slope.T @ terms
         low, high = panel.bounds.T
         is_held = ((design <= low) & (right < 0.0)) | ((design >= high) & (right > 0.0))
         free_cov = covariance_of_free(np.where(is_held[:, None], 0.0, panel.bounds), information)[0]
         step = np.clip(np.where(np.isfinite(free_cov), free_cov, 0.0) @ right, -self.max_step, self.max_step)
         return np.clip(design + step, low, high), *covariance_of_free(panel.bounds, information)
 
-    def _eliminate(self, panel: Panel, levels: _Levels, design: Array, units: Array, level: Array | None) -> _Normal:
-        """Linearise here, and eliminate levels and units for any step of the design."""
+    def _eliminate(
+        self, panel: Panel, levels: _Levels, design: Array, units: Array, level: Array | None
+    ) -> tuple[Array, Array, Array]:
+        """Linearise here, and eliminate levels and units.
+
+        Return the normal equations of the design by the rows alone, (p, p + 1), and what gives units and levels back
+        after a step of it, (units, q, p + 1) and (m, p + q + 1).
+        """
         expected, nothing = (None, None) if level is None else (level[levels.of_row], np.zeros(len(panel.unit)))
         columns, weight = self._linearise(panel, panel.levelled, design, units, expected)
         gram, of_level = _eliminate_levels(panel, levels, columns, weight)
@@ -201,8 +163,8 @@ class PanelLeastSquares:
         prior = panel.unit_sd[:, :, None] ** -2.0 * np.eye(units.shape[1])
         right = (panel.unit_mean - units) / panel.unit_sd**2 - gram[:, own, -1]
         of_unit = np.linalg.solve(gram[:, own, own] + prior, np.concatenate([gram[:, own, :p], right[..., None]], 2))
-        total, share = gram[:, :p].sum(axis=0), (gram[:, :p, own] @ of_unit).sum(axis=0)
-        return _Normal(total[:, :p] - share[:, :p], -total[:, -1] - share[:, -1], of_unit, of_level)
+        total = np.concatenate([gram[:, :p, :p], -gram[:, :p, -1:]], axis=2) - gram[:, :p, own] @ of_unit
+        return total.sum(axis=0), of_unit, of_level
 
     def _linearise(
         self, panel: Panel, equation: Equation, design: Array, units: Array, expected: Array | None
@@ -254,7 +216,8 @@ def _eliminate_levels(panel: Panel, levels: _Levels, columns: Array, weight: Arr
     Rows of a level are compared as they are, levels through the instruments: two-stage least squares.
     """
     n, k = len(panel.unit_mean), columns.shape[1]
-    means, total = _level_means(levels, weight, columns, panel.instruments)
+    every = columns if panel.instruments is None else np.column_stack([columns, panel.instruments])
+    means, total = group_means(every, levels.of_row, weight)
     level_weight = 1.0 / (1.0 / total + panel.walk.time_sd**2 * panel.levelled.design_effect)
     smoothed = _smooth(panel, levels, level_weight, means)
     innovation = (means - smoothed) * level_weight[:, None]
@@ -267,15 +230,6 @@ def _eliminate_levels(panel: Panel, levels: _Levels, columns: Array, weight: Arr
     gram = _cross_by_unit(panel.unit, n, deviation * weight[:, None], deviation)
     gram[:, :-1] += _cross_by_unit(levels.unit, n, pull, np.column_stack([predictor, means[:, k - 1]]))
     return gram, smoothed[:, :k]
-
-
-def _level_means(levels: _Levels, weight: Array, columns: Array, more: Array | None) -> tuple[Array, Array]:
-    """Average columns over the rows of each level with weights; return also the weight of each level."""
-    n = len(levels.unit)
-    total = np.bincount(levels.of_row, weight, n) + 1e-9
-    every = columns if more is None else np.column_stack([columns, more])
-    sums = np.stack([np.bincount(levels.of_row, weight * c, n) for c in every.T], axis=1)
-    return np.asarray(sums / total[:, None]), np.asarray(total)
 
 
 def _smooth(panel: Panel, levels: _Levels, weight: Array, values: Array) -> Array:

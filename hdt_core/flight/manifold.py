@@ -120,7 +120,8 @@ def _slopes(usable: pl.DataFrame) -> Array:
     """Regress y on the terms by Huber's method, with offsets of pack and block removed as medians."""
     block = [*LEG[:2], "pack", pl.col("flight_number") // BLOCK_FLIGHTS]
     within = usable.select((pl.col(c) - pl.col(c).median().over(block)).alias(c) for c in ("y", *TERMS))
-    return huber_slopes(within.select(TERMS).to_numpy(), within["y"].to_numpy(), 1e-6, HUBER_STEPS)
+    ridge = 1e-6 * within.height * np.eye(len(TERMS))
+    return huber_slopes(within.select(TERMS).to_numpy(), within["y"].to_numpy(), ridge, HUBER_STEPS)
 
 
 def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.DataFrame:

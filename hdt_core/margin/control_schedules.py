@@ -17,7 +17,7 @@ from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.flight_estimates import RUNNING_KG_S
 from hdt_core.json_values import with_tuples
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG, PACK
-from hdt_core.robust import huber_weights, spread
+from hdt_core.robust import huber_slopes, spread
 
 DOOR_FREE = (0.08, 0.95)
 """Between these openings the door has authority: outside, the outlet may leave its target."""
@@ -219,20 +219,8 @@ def _fit(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[float, ...
     hats = np.stack([np.interp(rows["x"].to_numpy(), knots, row) for row in np.eye(n)], axis=1)
     basis, y = np.column_stack([hats, rows["third"].to_numpy()]), rows["y"].to_numpy()
     bend = np.diff(np.eye(n, n + 1), 2, axis=0)
-    weight: Array = np.ones(len(y))
-    coefficients: Array = np.zeros(n + 1)
-    for _ in range(4):
-        x, d = _centre(basis, group, weight), _centre(y[:, None], group, weight)[:, 0]
-        # the groups' constants absorb any other, so a weak ridge makes the solution unique
-        normal = (x * weight[:, None]).T @ x + ROUGHNESS * bend.T @ bend + 1e-6 * np.eye(n + 1)
-        coefficients = np.linalg.solve(normal, x.T @ (weight * d))
-        residual = np.abs(d - x @ coefficients)
-        weight = huber_weights(residual, spread(residual), 1.5)
+    # the groups' constants absorb any other, so a weak ridge makes the solution unique
+    ridge = ROUGHNESS * bend.T @ bend + 1e-6 * np.eye(n + 1)
+    coefficients = huber_slopes(basis, y, ridge, 4, 1.5, group)
     heights = coefficients[:n] - coefficients[:n].mean()
     return tuple(float(v) for v in heights), float(coefficients[n])
-
-
-def _centre(values: Array, group: Array, weight: Array) -> Array:
-    total = np.maximum(np.bincount(group, weight), 1e-12)
-    mean = np.stack([np.bincount(group, weight * column) / total for column in values.T], axis=1)
-    return np.asarray(values - mean[group])

@@ -72,7 +72,7 @@ def dense(panel: Panel, n_steps: int):
                 normal, right = normal + a.T @ np.diag(weight) @ a, right - a.T @ (weight * r)
                 continue
             share = (of_row[use] == np.arange(len(keys))[:, None]) * weight
-            total = share.sum(1) + 1e-9
+            total = share.sum(1)
             mean = share / total[:, None]
             walk = np.zeros((len(keys),) * 2)
             for i, (unit, _) in enumerate(keys):
