@@ -92,7 +92,7 @@ def tree(tmp_path_factory) -> Path:
     ))  # fmt: skip
     (top / "pipelines/assets/flight_counts.py").write_text(STAGE)
     (top / "sql/views/busiest.sql").write_text(VIEW)
-    done = python(top, "-m", "pipelines.dictionary", "docs/data-dictionary.md")
+    done = python(top, "-m", "docs.dictionary", "docs/data-dictionary.md")
     assert done.returncode == 0, done.stderr
     return top
 

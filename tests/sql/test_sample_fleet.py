@@ -9,8 +9,8 @@ import duckdb
 import pytest
 from answers import CHECKS, rows
 
+from docs.dictionary import dictionary, view_columns
 from hdt_core.tables import TABLES
-from pipelines.dictionary import dictionary, view_columns
 from pipelines.storage.catalog import CATALOG
 from pipelines.storage.headers import read_header
 from pipelines.storage.publication import views
@@ -49,7 +49,7 @@ def test_every_column_of_every_view_has_a_meaning():
 
 def test_the_data_dictionary_is_up_to_date():
     written = (ROOT / "docs/data-dictionary.md").read_text(encoding="utf-8")
-    assert written == dictionary(), "run `python -m pipelines.dictionary docs/data-dictionary.md`"
+    assert written == dictionary(), "run `python -m docs.dictionary docs/data-dictionary.md`"
 
 
 # --- the sample fleet ----------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Write the data dictionary: every view and table, column by column, from declarations and view headers.
 
-`python -m pipelines.dictionary docs/data-dictionary.md` writes it; a test compares the file.
+`python -m docs.dictionary docs/data-dictionary.md` writes it; a test compares the file.
 """
 
 import re
@@ -18,7 +18,7 @@ from pipelines.storage.publication import order_views, publish, views
 
 _TITLE = """# Data dictionary
 
-Written by `python -m pipelines.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and
+Written by `python -m docs.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and
 the headers of the views (`sql/views`); change those, not this page. Times are UTC, units SI unless stated, a missing
 value is NULL, never NaN. Start with the six views that `select * from start_here` names. Each column is explained
 where it first occurs; later sections name it under "As above". Columns that differ by a number or by the column they
