@@ -20,7 +20,7 @@ import polars as pl
 
 from benchmarks.chain import admit_fleet
 from benchmarks.fleets import fleet_of
-from benchmarks.harness import DOCS, arguments, markdown, show
+from benchmarks.harness import DOCS, Texts, markdown, run
 from benchmarks.known_design import SIZE, one_fleet
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
@@ -154,21 +154,15 @@ def table(fleets: pl.DataFrame) -> str:
     return f"{note} any.\n\n{markdown([('measure', 'goal', 'measured'), *rows])}"
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--fleets", type=int, default=40)
-    parser.add_argument("--first", type=int, default=101, help="first seed")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--no-speed", action="store_true")
-    options = parser.parse_args()
-    with ProcessPoolExecutor(options.workers) as pool:
-        rows = list(pool.map(one_fleet, range(options.first, options.first + options.fleets)))
-    texts = {"bars": table(pl.DataFrame(rows)), "recursion": recursion()}
-    if not options.no_speed:
-        texts["speed"] = speed()
-    for mark, text in texts.items():
-        show(mark, text, PAGE, write=options.write)
+def main(fleets: int = 40, first: int = 101, workers: int = 2, no_speed: bool = False) -> Texts:
+    """Fleets of seeds from `first` on."""
+    with ProcessPoolExecutor(workers) as pool:
+        rows = list(pool.map(one_fleet, range(first, first + fleets)))
+    yield "bars", table(pl.DataFrame(rows))
+    yield "recursion", recursion()
+    if not no_speed:
+        yield "speed", speed()
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

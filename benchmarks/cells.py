@@ -25,7 +25,7 @@ from dagster._core.events import StepMaterializationData
 from dagster._core.events.log import EventLogEntry
 from dagster._core.storage.partition_status_cache import get_and_update_asset_status_cache_value
 
-from benchmarks.harness import arguments, machine, markdown, show
+from benchmarks.harness import Texts, machine, markdown, run
 from benchmarks.scale import PAGE
 from pipelines import partitions
 from pipelines.orchestration.batches import CELLS_A_RUN, PartitionBatch
@@ -38,6 +38,7 @@ FLIGHTS = [
 ]
 FLIGHTS = FLIGHTS[:10_000]
 REAL_RUNS = 5
+SERVER = os.environ.get("HDT_TEST_POSTGRES", "")
 POSTGRES = """\
 event_log_storage:
   module: dagster_batched.postgres
@@ -158,7 +159,7 @@ def sqlite(scratch: Path) -> Iterator[History]:
 
 
 @contextmanager
-def postgres(scratch: Path, server: str) -> Iterator[History]:
+def on_server(scratch: Path, server: str) -> Iterator[History]:
     """A database of its own on a server, dropped in the end."""
     import psycopg2  # noqa: PLC0415  the extra postgres
 
@@ -213,20 +214,17 @@ def table(results: dict[str, list[dict[str, float]]]) -> str:
     return f"{markdown(lines)}\n\nRegistering {len(FLIGHTS):,} flight keys and the aircraft: {times}.\n{machine()}"
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--cells", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
-    parser.add_argument("--postgres", default=os.environ.get("HDT_TEST_POSTGRES", ""), help="URL of a server")
-    options = parser.parse_args()
+def main(cells: tuple[int, ...] = (10_000, 100_000, 1_000_000), postgres: str = SERVER) -> Texts:
+    """Histories of so many cells in SQLite and, where its URL is given, on a server."""
     results = {}
     with tempfile.TemporaryDirectory() as scratch:
         with sqlite(Path(scratch)) as history:
-            results["SQLite"] = measured(history, options.cells)
-        if options.postgres:
-            with postgres(Path(scratch), options.postgres) as history:
-                results["PostgreSQL"] = measured(history, options.cells)
-    show("cells", table(results), PAGE, write=options.write)
+            results["SQLite"] = measured(history, list(cells))
+        if postgres:
+            with on_server(Path(scratch), postgres) as history:
+                results["PostgreSQL"] = measured(history, list(cells))
+    yield "cells", table(results)
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

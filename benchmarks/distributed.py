@@ -17,7 +17,7 @@ from pathlib import Path
 from dagster import DagsterRun, RunsFilter
 
 from benchmarks.fingerprint import fingerprint
-from benchmarks.harness import DOCS, arguments, machine, markdown, show
+from benchmarks.harness import DOCS, Texts, machine, markdown, run
 from benchmarks.site import Site, restart_broker, site, wait
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
@@ -158,15 +158,11 @@ def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
     return f"{aircraft} aircraft, {flights:,} flights:\n\n{markdown(lines)}\n\n{shared}\n\n{machine()}"
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--flights", type=int, default=10_000)
-    parser.add_argument("--aircraft", type=int, default=20)
-    options = parser.parse_args()
+def main(flights: int = 10_000, aircraft: int = 20) -> Texts:
+    """Flights of the whole fleet."""
     with tempfile.TemporaryDirectory() as scratch:
-        text = table(measured(Path(scratch), options.flights, options.aircraft), options.flights, options.aircraft)
-    show("table", text, PAGE, write=options.write)
+        yield "table", table(measured(Path(scratch), flights, aircraft), flights, aircraft)
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

@@ -14,21 +14,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.harness import arguments, show
+from benchmarks.harness import Texts, run
 from hdt_benchmark.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
 from hdt_benchmark.peers import filter_claim, fit_claim, over
 from hdt_benchmark.timing import Claim, race, table
 from hdt_core.estimation import ParticleSwarm, Problem
 
 
-def main(rounds: int = 15, records: int = 8) -> list[Claim]:
+def main(rounds: int = 15, records: int = 8) -> Texts:
     """All claims, each over the same records in blocks."""
     claims = [fit_claim(rounds, records), filter_claim(rounds, records)]
     try:
         claims.append(swarm_claim(max(rounds // 3, 3), 2))
     except ImportError:
         print("PSO against pyswarms: skipped, pyswarms is not installed (pip install -e '.[benchmark]')")
-    return claims
+    yield "speed of estimators", table(claims, ("numpy", "numba", "scipy", "filterpy", "pyswarms"))
 
 
 def swarm_claim(rounds: int, records: int) -> Claim:
@@ -70,8 +70,4 @@ def _numpy_cost(problem: Problem, thetas: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    parser = arguments(__doc__)
-    parser.add_argument("--rounds", type=int, default=15)
-    options = parser.parse_args()
-    report = table(main(options.rounds), ("numpy", "numba", "scipy", "filterpy", "pyswarms"))
-    show("speed of estimators", report, write=options.write)
+    run(main)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import polars as pl
 
-from benchmarks.harness import arguments, machine, markdown, show
+from benchmarks.harness import Texts, machine, markdown, run
 from benchmarks.scale import PAGE, RANKING, SIZES, measured, query_ms
 from hdt_core.tables import TABLES
 from pipelines.intake.simulated import write_fleet
@@ -90,10 +90,8 @@ def table(rows: list[dict[str, float]], flights: int) -> str:
     return f"{markdown(lines)}\n\n{machine()}"
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--aircraft", type=int, nargs="*", default=[4, 20, 100, 400])
-    options = parser.parse_args()
+def main(aircraft: tuple[int, ...] = (4, 20, 100, 400)) -> Texts:
+    """One row a number of aircraft."""
     with tempfile.TemporaryDirectory() as scratch:
         root, home, rows = Path(scratch), Path(scratch) / "home", []
         list(write_fleet(root, 11, SIZES["S"]))
@@ -101,14 +99,13 @@ def main() -> None:
         store = Store(home)
         originals = sorted(store.read_table("raw_flights").select("operator", "tail").unique().rows())
         there = len(originals)
-        for aircraft in options.aircraft:
-            multiply(store, originals, there, aircraft)
-            there = aircraft
-            rows.append(row(home, aircraft))
+        for count in aircraft:
+            multiply(store, originals, there, count)
+            there = count
+            rows.append(row(home, count))
             print(rows[-1], flush=True)
-        text = table(rows, SIZES["S"].flights)
-    show("growth", text, PAGE, write=options.write)
+    yield "growth", table(rows, SIZES["S"].flights)
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

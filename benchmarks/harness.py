@@ -3,11 +3,15 @@
 import argparse
 import os
 import platform
+import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
+Texts = Iterator[tuple[str, str]]
+"""Marks of a page and what stands there."""
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "benchmark.md"
 
@@ -17,6 +21,26 @@ def arguments(doc: str | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="put what is found into its page of docs/")
     return parser
+
+
+def run(main: Callable[..., Iterable[tuple[str, str]]], page: Path = PAGE) -> None:
+    """Run a benchmark from the command line: the parameters of `main` are options, its results marks and texts.
+
+    A tuple takes several values. Each text is shown as it comes and, with `--write`, put into the page.
+    """
+    parser = arguments(sys.modules[main.__module__].__doc__)
+    for name, parameter in signature(main).parameters.items():
+        default, option = parameter.default, "--" + name.replace("_", "-")
+        if isinstance(default, bool):
+            parser.add_argument(option, action="store_true")
+        elif isinstance(default, tuple):
+            parser.add_argument(option, default=default, nargs="*", type=type(next(iter(default), "")))
+        else:
+            parser.add_argument(option, default=default, type=type(default))
+    options = vars(parser.parse_args())
+    write = options.pop("write")
+    for mark, text in main(**options):
+        show(mark, text, page, write=write)
 
 
 def machine() -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
-from benchmarks.harness import arguments, show
+from benchmarks.harness import Texts, run
 from hdt_benchmark.exchanger import ExchangerSamples, fit_lumped_log
 from hdt_benchmark.peers import conductance_claim
 from hdt_benchmark.timing import Candidate, Claim, race, table
@@ -107,15 +107,11 @@ def repeated(n: int, fit: Callable[[], float]) -> np.ndarray:
     return np.array([fit() for _ in range(n)])
 
 
-def main(rounds: int = 7) -> list[Claim]:
+def main(rounds: int = 7) -> Texts:
     """All claims."""
     claims = (conductance_claim, log_claim, effectiveness_claim)
-    return [claim(rounds) for claim in claims]
+    yield "speed of heat exchanger", table([claim(rounds) for claim in claims], ("numpy", "numba", "scipy", "ht"))
 
 
 if __name__ == "__main__":
-    parser = arguments(__doc__)
-    parser.add_argument("--rounds", type=int, default=7)
-    options = parser.parse_args()
-    report = table(main(options.rounds), ("numpy", "numba", "scipy", "ht"))
-    show("speed of heat exchanger", report, write=options.write)
+    run(main)

@@ -6,7 +6,7 @@ the drive sets how much of it the record shows. Truth: damping 0.5 N s/m, stiffn
 
 import numpy as np
 
-from benchmarks.harness import arguments, markdown, show
+from benchmarks.harness import Texts, markdown, run
 from hdt_benchmark.oscillator import DT_S, SIGMA_M, TRUTH, WRONG_GUESS, force_n
 from hdt_benchmark.oscillator_kernels import oscillator_kernels
 from hdt_benchmark.spring_mass_damper import SPRING_MASS_DAMPER
@@ -81,16 +81,13 @@ def _errors(estimates: list[Estimate], i: int) -> str:
     return f"{(z < Z_90).mean():.2f}, {z.max():.1f}" if z.size else "-"
 
 
-def main() -> None:
-    """Print the table."""
-    parser = arguments(__doc__)
-    parser.add_argument("--seeds", type=int, default=20)
-    options = parser.parse_args()
+def main(seeds: int = 20) -> Texts:
+    """Return the table."""
     head = ["drive, cubic stiffness", "method", "damping", "stiffness", "damping: coverage, worst [sd]",
             "stiffness: coverage, worst [sd]", "`converged`", "`lack_of_fit`", "force named"]  # fmt: skip
-    rows = [row(method, *case, options.seeds) for case in CASES for method in METHODS]
-    show("missing force", markdown([head, *merge_equal(rows)]), write=options.write)
+    rows = [row(method, *case, seeds) for case in CASES for method in METHODS]
+    yield "missing force", markdown([head, *merge_equal(rows)])
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -21,7 +21,7 @@ from unittest.mock import patch
 import duckdb
 import polars as pl
 
-from benchmarks.harness import arguments, machine, markdown, show
+from benchmarks.harness import Texts, machine, markdown, run
 from benchmarks.scale import PAGE, RANKING, Silent, fly_again, query_ms
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
@@ -131,14 +131,11 @@ def table(rows: list[dict[str, float]]) -> str:
     return f"{markdown(lines)}\n\n{machine()} Goal: {GOAL} times night 10."
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--nights", type=int, default=1000)
-    options = parser.parse_args()
+def main(nights: int = 1000) -> Texts:
+    """So many nights after the first."""
     with tempfile.TemporaryDirectory() as scratch:
-        text = table(years(options.nights, Path(scratch)))
-    show("nights", text, PAGE, write=options.write)
+        yield "nights", table(years(nights, Path(scratch)))
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

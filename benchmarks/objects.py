@@ -1,4 +1,4 @@
-"""A night on an object store against the same on local files: `python -m benchmarks.objects [S] [--write]`.
+"""A night on an object store against the same on local files: `python -m benchmarks.objects [--size S] [--write]`.
 
 Fleets of benchmarks/scale.py; the store is SeaweedFS on this host, so what a request costs is its work and no distance:
 the count of requests, by the server's own meter, is what carries over to another store. `--write` puts the table into
@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from benchmarks import object_server
-from benchmarks.harness import DOCS, arguments, machine, markdown, show
+from benchmarks.harness import DOCS, Texts, machine, markdown, run
 from benchmarks.scale import RANKING, SIZES, measured, query_ms
 from pipelines.intake.simulated import write_fleet
 from pipelines.report.page import write_report
@@ -73,19 +73,17 @@ def table(rows: dict[str, dict[str, object]]) -> str:
     return f"{markdown([['', *rows], *lines])}\n\n{machine()}"
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("size", nargs="?", default="S", choices=SIZES)
-    options = parser.parse_args()
+def main(size: str = "S") -> Texts:
+    """A fleet of one of `SIZES`."""
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
-        list(write_fleet(root, 11, SIZES[options.size]))
+        list(write_fleet(root, 11, SIZES[size]))
         rows = {"local files": measure_store(root / "landing", root / "local")}
         with object_server.serving(root / "s3") as variables:
             os.environ |= {**variables, URL: f"s3://{object_server.BUCKET}/fleet"}
             rows["objects"] = measure_store(root / "landing", root / "remote")
-    show("objects", table(rows), PAGE, write=options.write)
+    yield "objects", table(rows)
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

@@ -8,8 +8,6 @@ episode simulator. Both share the shapes of wear. Figures pool the fleets; range
 `--write` puts the tables into docs/prognosis.md.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import polars as pl
 from numpy.typing import ArrayLike
@@ -18,7 +16,7 @@ from benchmarks.alerts import by_component, confusion, curves, tally, together
 from benchmarks.contestants import SETS, Learner, extrapolated, lead_at_budget, rows_of
 from benchmarks.contestants import together as pooled
 from benchmarks.fleets import Frames, flown
-from benchmarks.harness import DOCS, arguments, markdown, show
+from benchmarks.harness import DOCS, Texts, markdown, run
 from benchmarks.rolling import CONTESTANTS, forecasts
 from hdt_core.prognosis.metrics import CAP, score_prognoses
 from hdt_core.simulate.design import FleetSettings
@@ -166,30 +164,24 @@ def constant(prognoses: pl.DataFrame) -> pl.DataFrame:
     return prognoses.with_columns(rul_low=low, rul_flights=middle, rul_high=high, p_event_50=pl.lit(share))
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--fleets", type=int, default=8, help="fleets that score, and as many that teach the ablation")
-    parser.add_argument("--draws", type=int, default=200, help="bootstrap draws")
-    options = parser.parse_args()
-    scored = list(flown(SCORED, options.fleets, SIZE))
+def main(fleets: int = 8, draws: int = 200) -> Texts:
+    """So many fleets that score, and as many that teach the ablation; bootstrap draws."""
+    scored = list(flown(SCORED, fleets, SIZE))
     counted = together([tally(f) for f in scored])
     forecasts_of = {c: _pooled([forecasts(f, c) for f in scored]) for c in ("HX", "CC")}
     for same in ("base alone", "physics alone"):  # a compressor's product is the first passage of its base
         del forecasts_of["CC"][same]
-    size = f"{options.fleets} fleets, {counted.flights:,} flights of two packs."
-    parts: dict[str, Callable[[], str]] = {
-        "alerts": lambda: f"{size}\n\n{by_component(counted)}",
-        "curves": lambda: curves(scored),
-        "confusion": lambda: confusion(scored),
-        **{f"life {c}": lambda c=c: side_by_side(forecasts_of[c], options.draws) for c in forecasts_of},
-        **{f"horizon {c}": lambda c=c: by_horizon(forecasts_of[c]) for c in forecasts_of},
-        **{f"precision {c}": lambda c=c: precision_recall(forecasts_of[c]) for c in forecasts_of},
-        **{f"calibration {c}": lambda c=c: calibrated(forecasts_of[c][CONTESTANTS[0]]) for c in forecasts_of},
-        "learning HX": lambda: learning_curve(forecasts_of["HX"]),
-        "ablation": lambda: ablation(list(flown(TAUGHT, options.fleets, SIZE)), scored),
-    }
-    for mark, write_part in parts.items():
-        show(mark, write_part(), PAGE, write=options.write)
+    size = f"{fleets} fleets, {counted.flights:,} flights of two packs."
+    yield "alerts", f"{size}\n\n{by_component(counted)}"
+    yield "curves", curves(scored)
+    yield "confusion", confusion(scored)
+    for component, own in forecasts_of.items():
+        yield f"life {component}", side_by_side(own, draws)
+        yield f"horizon {component}", by_horizon(own)
+        yield f"precision {component}", precision_recall(own)
+        yield f"calibration {component}", calibrated(own[CONTESTANTS[0]])
+    yield "learning HX", learning_curve(forecasts_of["HX"])
+    yield "ablation", ablation(list(flown(TAUGHT, fleets, SIZE)), scored)
 
 
 def _pooled(parts: list[dict[str, pl.DataFrame]]) -> dict[str, pl.DataFrame]:
@@ -198,4 +190,4 @@ def _pooled(parts: list[dict[str, pl.DataFrame]]) -> dict[str, pl.DataFrame]:
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.harness import arguments, markdown, put
+from benchmarks.harness import Texts, markdown, run
 from benchmarks.random_problems import draw_problems
 from hdt_core.estimation import Estimate, Estimator, Problem, estimators
 from hdt_core.estimation.descent import descend
@@ -101,19 +101,14 @@ def table(tallies: Sequence[Tally], n: int, *, statuses: bool) -> str:
     return f"{markdown(lines)}\n\nExceptions: {sum(len(t.raised) for t in tallies)}."
 
 
-if __name__ == "__main__":
-    parser = arguments(__doc__)
-    parser.add_argument("--problems", type=int, default=140)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="*", default=None, help="names of methods")
-    parser.add_argument("--no-polish", action="store_true", help="methods as they are")
-    options = parser.parse_args()
-    chosen = [e for e in estimators().values() if options.only is None or e.name in options.only]
-    chosen = [unpolished(e) for e in chosen] if options.no_polish else chosen
-    result = main(options.problems, chosen, options.seed)
-    report = table(result, options.problems, statuses=not options.no_polish)
-    print(report)
+def report(problems: int = 140, seed: int = 0, only: tuple[str, ...] = (), no_polish: bool = False) -> Texts:
+    """The table, of some methods by name, or of all without least squares at their end."""
+    chosen = [e for e in estimators().values() if not only or e.name in only]
+    result = main(problems, [unpolished(e) for e in chosen] if no_polish else chosen, seed)
     for tally in result:
         print(tally.name, *tally.broken, *tally.raised, sep="\n  ")
-    if options.write:
-        put("methods alone" if options.no_polish else "promise of converged", report)
+    yield "methods alone" if no_polish else "promise of converged", table(result, problems, statuses=not no_polish)
+
+
+if __name__ == "__main__":
+    run(report)

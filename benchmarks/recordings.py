@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from benchmarks.harness import DOCS, arguments, markdown, show
+from benchmarks.harness import DOCS, Texts, markdown, run
 from hdt_core.components import components
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
@@ -190,13 +190,13 @@ def lags() -> Iterator[list[str]]:
         yield [f"{unit + 1}", f"{best}", f"{rms_by_lag[0]:.2f}", f"{rms_by_lag[best]:.2f}"]
 
 
-def main() -> None:
-    options = arguments(__doc__).parse_args()
+def main() -> Texts:
+    """Return each table of the page."""
     if not REFERENCE.is_dir():
         raise SystemExit(f"no recordings in {REFERENCE}: set HDT_REFERENCE")
     for mark, table in (("signals", signals()), ("scatter", scatter()), ("held out", held_out()), ("lags", lags())):
-        show(mark, markdown(list(table)), PAGE, write=options.write)
+        yield mark, markdown(list(table))
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

@@ -24,7 +24,7 @@ import polars as pl
 
 import pipelines.definitions  # noqa: F401  what is imported is no matter of recovery's
 from benchmarks.fault_points import arm
-from benchmarks.harness import arguments, count_time, machine, markdown, show
+from benchmarks.harness import Texts, count_time, machine, markdown, run
 from benchmarks.scale import PAGE, Silent
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.tables import TABLES
@@ -161,7 +161,7 @@ def table(flights: int, spent: Spent) -> str:
     return f"{markdown(lines)}\n\n{machine()}"
 
 
-def child(what: str, landing: Path, home: Path) -> None:
+def run_child(what: str, landing: Path, home: Path) -> None:
     """Run a night to be killed, or a reopening."""
     if what == "night":
         arm("before_mark:9")
@@ -170,21 +170,16 @@ def child(what: str, landing: Path, home: Path) -> None:
         print(json.dumps(reopen(landing, home)))
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--flights", type=int, default=100_000)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--child", nargs=3)
-    options = parser.parse_args()
-    if options.child:
-        child(options.child[0], Path(options.child[1]), Path(options.child[2]))
+def main(flights: int = 100_000, rounds: int = 5, child: tuple[str, ...] = ()) -> Texts:
+    """Reopenings of a home of so many flights; `child` is a process of them: what it does, landing zone, home."""
+    if child:
+        run_child(child[0], Path(child[1]), Path(child[2]))
         return
     with tempfile.TemporaryDirectory() as scratch:
         landing, home = killed(Path(scratch))
-        grow(landing, home, options.flights)
-        text = table(options.flights, measured(landing, home, options.rounds))
-    show("recovery", text, PAGE, write=options.write)
+        grow(landing, home, flights)
+        yield "recovery", table(flights, measured(landing, home, rounds))
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

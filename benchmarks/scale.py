@@ -1,4 +1,4 @@
-"""Cost of a first night by size of the fleet: `python -m benchmarks.scale [S M L] [--rounds N] [--write]`.
+"""Cost of a first night by size of the fleet: `python -m benchmarks.scale [--sizes S M L] [--rounds N] [--write]`.
 
 S, M, L: 1,000, 10,000 and 100,000 flights of the project's own simulator, as history files. Goals: a first night of L
 in 7 minutes, 100 new flights for 2 % of it, nothing new in 1 s, peak memory at most 1.2 GB. Every night is a process of
@@ -19,7 +19,7 @@ from statistics import median
 
 import polars as pl
 
-from benchmarks.harness import DOCS, arguments, machine, markdown, show
+from benchmarks.harness import DOCS, Texts, machine, markdown, run
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import around_night, nightly
@@ -141,19 +141,14 @@ def table(rows: dict[str, dict[str, float]]) -> str:
     return f"{markdown(lines)}\n\n{machine()}"
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("sizes", nargs="*", default=["S", "M"])
-    parser.add_argument("--rounds", type=int, default=1)
-    parser.add_argument("--night", nargs=2, type=Path, metavar=("LANDING", "HOME"), help="measure one night alone")
-    options = parser.parse_args()
-    if options.night:
-        measure_night(*options.night)
+def main(sizes: tuple[str, ...] = ("S", "M"), rounds: int = 1, night: tuple[str, ...] = ()) -> Texts:
+    """Fleets of these sizes; or `night`, landing zone and home, measured alone."""
+    if night:
+        measure_night(*map(Path, night))
         return
     with tempfile.TemporaryDirectory() as scratch:
-        text = table({name: sized(name, options.rounds, Path(scratch)) for name in options.sizes})
-    show("table", text, PAGE, write=options.write)
+        yield "table", table({name: sized(name, rounds, Path(scratch)) for name in sizes})
 
 
 if __name__ == "__main__":
-    main()
+    run(main, PAGE)

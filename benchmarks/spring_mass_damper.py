@@ -1,9 +1,10 @@
 """Section 3.2.2 of the paper reproduced: every estimator on the spring-mass-damper, from the same wrong guess.
 
-Run ``python -m benchmarks.spring_mass_damper [--quick] [--seeds N] [--slow-seeds N] [--workers N] [--write]``. Prints
-tables 1 and 2 beside the paper's numbers and what the paper does not state: bias, Cramér-Rao ratio, coverage,
-failures; draws figures 8 and 9. ``--quick`` takes few records, under a minute. ``--write`` puts the tables into
-docs/benchmark.md. Times are those of the processor, one thread, so that neighbours on the machine do not count.
+Run ``python -m benchmarks.spring_mass_damper [--quick] [--seeds N] [--slow-seeds N] [--workers N] [--plots DIR]
+[--write]``. Prints tables 1 and 2 beside the paper's numbers and what the paper does not state: bias, Cramér-Rao ratio,
+coverage, failures; draws figures 8 and 9. ``--quick`` takes few records, under a minute; the other numbers are records
+of the fast methods and of those that take long. ``--write`` puts the tables into docs/benchmark.md. Times are those of
+the processor, one thread, so that neighbours on the machine do not count.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 from rich.progress import track
 from threadpoolctl import threadpool_limits
 
-from benchmarks.harness import DOCS, arguments, markdown, show
+from benchmarks.harness import Texts, markdown, run
 from hdt_benchmark.oscillator import TRUTH, oscillator_problem, true_position_m
 from hdt_core.estimation import Estimate, Estimator, ExtendedKalman, ParticleSwarm, UnscentedKalman, estimators
 from hdt_core.estimation.identifiability import fisher
@@ -210,16 +211,13 @@ def figures(rows: list[Row], folder: Path) -> list[Path]:
     return paths
 
 
+def report(seeds: int = 200, slow_seeds: int = 20, workers: int = 1, quick: bool = False, plots: str = "") -> Texts:
+    """The tables; figures 8 and 9 into the folder `plots`, else into a temporary one."""
+    seeds, slow_seeds = (20, 1) if quick else (seeds, min(slow_seeds, seeds))
+    rows = main(seeds, slow_seeds, workers=workers)
+    yield "tables", tables(rows)
+    print("\nFigures 8 and 9:", *figures(rows, Path(plots or tempfile.gettempdir())), sep="\n")
+
+
 if __name__ == "__main__":
-    parser = arguments(__doc__)
-    parser.add_argument("--seeds", type=int, default=200, help="records for the fast methods (default 200)")
-    slow = f"records for {', '.join(sorted(SLOW))} (default 20)"
-    parser.add_argument("--slow-seeds", type=int, default=20, help=slow)
-    parser.add_argument("--workers", type=int, default=1, help="processes (default 1)")
-    parser.add_argument("--quick", action="store_true", help="20 records for the fast methods, 1 for the others")
-    options = parser.parse_args()
-    seeds, slow_seeds = (20, 1) if options.quick else (options.seeds, min(options.slow_seeds, options.seeds))
-    rows = main(seeds, slow_seeds, workers=options.workers)
-    show("tables", tables(rows), write=options.write)
-    folder = DOCS / "plots" if options.write else Path(tempfile.gettempdir())
-    print("\nFigures 8 and 9:", *figures(rows, folder), sep="\n")
+    run(report)

@@ -19,7 +19,7 @@ import polars as pl
 
 from benchmarks.chain import admit_fleet
 from benchmarks.fleets import fleet_of
-from benchmarks.harness import DOCS, arguments, markdown, show
+from benchmarks.harness import DOCS, Texts, markdown, run
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.windows import baseline_flights
@@ -172,17 +172,12 @@ def tables(results: list[Fleet], draws: int) -> str:
     return f"{markdown(lines)}\n\n{cost}\n\n{markdown(reads)}"
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--seeds", default="101-124", help="first and last seed")
-    parser.add_argument("--flights", type=int, default=350, help="flights of each aircraft")
-    parser.add_argument("--draws", type=int, default=40, help="bootstrap draws")
-    options = parser.parse_args()
-    first, last = map(int, options.seeds.split("-"))
-    size = FleetSettings(operators=2, tails=4, flights=options.flights, cpl_share=0.0)
-    text = tables(list(fleets(range(first, last + 1), size)), options.draws)
-    show("tables", text, DOCS / "calibration.md", write=options.write)
+def main(seeds: str = "101-124", flights: int = 350, draws: int = 40) -> Texts:
+    """First and last seed; flights of each aircraft; bootstrap draws."""
+    first, last = map(int, seeds.split("-"))
+    size = FleetSettings(operators=2, tails=4, flights=flights, cpl_share=0.0)
+    yield "tables", tables(list(fleets(range(first, last + 1), size)), draws)
 
 
 if __name__ == "__main__":
-    main()
+    run(main, DOCS / "calibration.md")
