@@ -13,10 +13,9 @@ import polars as pl
 from dagster_batched.materialization import CheckBeforeStorage
 from hdt_core.tables import TABLES
 from pipelines import partitions
-from pipelines.intake.broken_rows import store_broken_rows
 from pipelines.lineage import MAKER, STAGE, UPSTREAM, Stage
 from pipelines.partitions import PartitionScope
-from pipelines.resources import Home
+from pipelines.resources import Home, store_broken_rows
 from pipelines.storage.headers import MEANINGS
 from pipelines.storage.panics import panics_as_errors
 

@@ -6,11 +6,11 @@ import sys
 
 from hdt_core.errors import UserError
 from hdt_core.packages import load_entry_points
-from pipelines.cli import cases, digest, look, make, night, serve, share
+from pipelines.cli import cases, look, make, night, serve, share
 from pipelines.cli.base import StopError, UsageError, app, out, print_error
 from pipelines.cli.stops import StoppedError, stop_in_order
 
-__all__ = ["app", "cases", "digest", "look", "main", "make", "night", "serve", "share"]
+__all__ = ["app", "cases", "look", "main", "make", "night", "serve", "share"]
 
 
 def main() -> None:

@@ -33,8 +33,7 @@ def serve(
     try:
         from pipelines.web.casebook import application
         from pipelines.web.guard import LOCAL
-        from pipelines.web.roles import FILE, local_person, read_people
-        from pipelines.web.sign_in import LocalToken, ProxyHeader
+        from pipelines.web.sign_in import FILE, LocalToken, ProxyHeader, local_person, read_people
     except ImportError:
         raise StopError("the page of cases needs the extra serve: pip install 'hybrid-digital-twin[serve]'") from None
     if not re.fullmatch(r"[A-Za-z0-9-]+", header):

@@ -30,6 +30,8 @@ REASONS = {
     for scope, codes in tomllib.loads((files(__package__) / "reasons.toml").read_text("utf-8")).items()
     for code, texts in codes.items()
 }
+BREAKS_DECLARATION = "breaks_declaration"
+"""Reason of computed rows that violate their table's declaration."""
 MAX_VALUES_LISTED = 100
 """Values at fault that are listed singly for a file, column and reason; the rest is counted in one entry."""
 

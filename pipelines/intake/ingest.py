@@ -13,8 +13,8 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.tables import TABLES
-from pipelines.intake.broken_rows import BREAKS_DECLARATION
 from pipelines.intake.columns import AIRPORTS
+from pipelines.intake.faults import BREAKS_DECLARATION
 from pipelines.intake.landing_file import LandingFile, modified_at
 from pipelines.intake.merge import ACCOUNT, MergeResult, compare_redelivery, count_rows, merge_deliveries
 from pipelines.intake.snapshots import ROW_COLUMNS, Intake, read_snapshots

@@ -10,8 +10,7 @@ from pathlib import Path
 from dagster_batched.webserver import application, daemon_command
 from pipelines.orchestration.runs import LOCATION, open_instance
 from pipelines.web.guard import LOCAL, Guard
-from pipelines.web.roles import Person
-from pipelines.web.sign_in import LocalToken
+from pipelines.web.sign_in import LocalToken, Person
 
 _DAEMON_ENDS_S = 20
 

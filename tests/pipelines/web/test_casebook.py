@@ -17,11 +17,10 @@ from case_homes import case_home
 from pipelines.casework import find_case, history_of
 from pipelines.storage.cases import FILE
 from pipelines.storage.catalog import CATALOG
-from pipelines.web import roles
+from pipelines.web import sign_in
 from pipelines.web.casebook import application
 from pipelines.web.guard import LOCAL
-from pipelines.web.roles import Person
-from pipelines.web.sign_in import LocalToken, ProxyHeader
+from pipelines.web.sign_in import LocalToken, Person, ProxyHeader
 
 ROLES = """[people]
 Vi = "viewer"
@@ -36,7 +35,7 @@ HOSTILE = "<script>alert(1)</script> {{ 7 * 7 }}"
 @pytest.fixture(scope="module")
 def home(tmp_path_factory) -> Path:
     home = case_home(tmp_path_factory.mktemp("page") / "home")
-    (home / roles.FILE).write_text(ROLES)
+    (home / sign_in.FILE).write_text(ROLES)
     return home
 
 

@@ -10,11 +10,10 @@ from case_homes import case_home
 from playwright.sync_api import Browser, Page, expect
 
 from pipelines.casework import find_case
-from pipelines.web import roles
+from pipelines.web import sign_in
 from pipelines.web.casebook import application
 from pipelines.web.guard import LOCAL
-from pipelines.web.roles import Person
-from pipelines.web.sign_in import LocalToken, ProxyHeader
+from pipelines.web.sign_in import LocalToken, Person, ProxyHeader
 
 pytestmark = NEEDS_CHROMIUM
 HEADER = "X-Remote-User"
@@ -23,7 +22,7 @@ HEADER = "X-Remote-User"
 @pytest.fixture(scope="module")
 def home(tmp_path_factory) -> Path:
     home = case_home(tmp_path_factory.mktemp("browsed") / "home")
-    (home / roles.FILE).write_text('[people]\nAda = "engineer"\nBo = "engineer"\nVi = "viewer"\n')
+    (home / sign_in.FILE).write_text('[people]\nAda = "engineer"\nBo = "engineer"\nVi = "viewer"\n')
     return home
 
 

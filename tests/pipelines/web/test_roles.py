@@ -3,7 +3,7 @@
 import pytest
 
 from pipelines.storage.objects import StoreError
-from pipelines.web.roles import FILE, Person, local_person, read_people
+from pipelines.web.sign_in import FILE, Person, local_person, read_people
 
 
 def test_a_role_or_a_table_of_role_and_operators(tmp_path):

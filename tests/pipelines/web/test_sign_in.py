@@ -10,8 +10,7 @@ from starlette.responses import PlainTextResponse
 
 from pipelines.web import sign_in
 from pipelines.web.guard import LOCAL, Guard
-from pipelines.web.roles import FILE, Person
-from pipelines.web.sign_in import SESSIONS, LocalToken, ProxyHeader
+from pipelines.web.sign_in import FILE, SESSIONS, LocalToken, Person, ProxyHeader
 
 ADA = Person("Ada")
 
