@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hdt_benchmark.oscillator import SIGMA_M, TRUTH, oscillator_problem, true_position_m
-from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, ParticleSwarm, UnscentedKalman, unknown
+from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, ParticleSwarm, UnscentedKalman
 from hdt_core.estimation.identifiability import fisher
 from hdt_estimators import GradientDescent
 
@@ -60,22 +60,6 @@ def test_compiled_estimators_equal_the_declared_path(estimator, with_holes):
         np.testing.assert_allclose(fast.path_sd, slow.path_sd, atol=1e-6)
 
 
-def test_without_numba_the_same_functions_run_interpreted():
-    from hdt_benchmark import oscillator_kernels as oscillator
-
-    kernel = oscillator.linearised
-    if not hasattr(kernel, "py_func"):
-        pytest.skip("numba is not installed: this is the interpreted path")
-    problem = oscillator_problem(0)
-    record = (TRUTH, np.sin(np.arange(1001) / 30.0), 0.01, 1.0, problem.measured[:, 0].copy())
-    results = []
-    for function in (kernel, kernel.py_func):
-        normal, gradient = np.zeros((2, 2)), np.zeros(2)
-        results.append((function(*record, normal, gradient), normal, gradient))
-    for fast, plain in zip(*results, strict=True):
-        np.testing.assert_allclose(fast, plain, rtol=1e-10)
-
-
 def errors(estimator):
     """Errors in standard deviations of the bound, and in the estimator's own, over all seeds."""
     estimates = [estimator.estimate(oscillator_problem(seed)) for seed in SEEDS]
@@ -120,14 +104,3 @@ def test_methods_that_minimise_the_same_thing_find_the_same_minimum():
     best = NonlinearLeastSquares().estimate(problem).belief
     for estimator in (ParticleSwarm(), ParticleSwarm(polish=False), GradientDescent()):
         np.testing.assert_allclose(estimator.estimate(problem).belief.mean, best.mean, atol=1e-5)
-
-
-def test_least_squares_equals_scipy():
-    from scipy.optimize import least_squares
-
-    for seed in range(5):
-        problem = oscillator_problem(seed).with_prior(unknown(np.array([0.2, 1.0])))
-        peer = least_squares(
-            lambda theta, p=problem: p.residual(theta).ravel(), problem.origin, xtol=1e-14, ftol=1e-14, gtol=1e-14
-        )
-        np.testing.assert_allclose(NonlinearLeastSquares().estimate(problem).belief.mean, peer.x, atol=1e-6)

@@ -1,13 +1,11 @@
 """An FMU as a component: its own C source says the same as the equation, and every estimator takes it."""
 
-import shutil
-import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus import build_fmu, pack_fmu
 from pages import walk
 
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, UnscentedKalman, unknown
@@ -25,17 +23,6 @@ FOULING = Param("hc_fouling", "-", 0.0, (-0.25, 0.95), "health", drift=0.01)
 NAMES = {"oil_flow_w_k": "inlet.flow", "oil_in_k": "inlet.T", "hc_ua_w_k": "ua"}
 
 
-def packed(folder: Path, description: str, binary: Path | None) -> Path:
-    import fmpy
-
-    path = folder / "oil_tank.fmu"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", description)
-        if binary is not None:
-            archive.write(binary, f"binaries/{fmpy.platform}/oil_tank{fmpy.sharedLibraryExtension}")
-    return path
-
-
 @pytest.fixture(scope="module")
 def description() -> str:
     return (SOURCE / "modelDescription.xml").read_text(encoding="utf-8")
@@ -43,16 +30,7 @@ def description() -> str:
 
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory, description) -> Path:
-    fmpy = pytest.importorskip("fmpy", reason="the extra `fmi` is not installed")
-    gcc = shutil.which("gcc")
-    if gcc is None:
-        pytest.skip("no gcc to build the FMU of the tests with")
-    folder = tmp_path_factory.mktemp("fmu")
-    binary = folder / "oil_tank.so"
-    headers = Path(fmpy.__file__).parent / "c-code"
-    command = [gcc, "-shared", "-fPIC", "-O1", f"-I{headers}", str(SOURCE / "oil_tank.c"), "-o", str(binary)]
-    subprocess.run(command, check=True, capture_output=True)
-    return packed(folder, description, binary)
+    return build_fmu(tmp_path_factory.mktemp("fmu"), "oil_tank", SOURCE / "oil_tank.c", description)
 
 
 @pytest.fixture(scope="module")
@@ -139,10 +117,10 @@ def test_other_kinds_of_file_are_named(tmp_path, description, fmu):
     with pytest.raises(ValueError, match="no FMU"):
         fmu_model(SOURCE / "oil_tank.c", **declaration)
     with pytest.raises(ValueError, match="no binary for"):
-        fmu_model(packed(tmp_path, description, None), **declaration)
+        fmu_model(pack_fmu(tmp_path, "oil_tank", description), **declaration)
     hidden = description.replace("<ModelExchange", "<CoSimulation").replace(' numberOfEventIndicators="0"', "")
     with pytest.raises(ValueError, match=r"FMI 2.0, coSimulation; needs FMI 2.0, modelExchange"):
-        fmu_model(packed(tmp_path, hidden, None), **declaration)
+        fmu_model(pack_fmu(tmp_path, "oil_tank", hidden), **declaration)
 
 
 def test_a_run_over_time_takes_no_inputs(fmu):

@@ -1,12 +1,10 @@
 """FMUs without inputs, with events and without: they simulate as fmpy has it, and as their closed forms do."""
 
-import shutil
-import subprocess
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus import build_fmu
 
 from hdt_core.estimation import NonlinearLeastSquares, unknown
 from hdt_core.estimation.declared import declared_problem
@@ -48,24 +46,13 @@ def description(name: str, states: tuple[str, ...], constants: tuple[str, ...], 
     )
 
 
-def build_fmu(folder: Path, name: str, number: int, text: str) -> Path:
-    fmpy = pytest.importorskip("fmpy", reason="the extra `fmi` is not installed")
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
-        pytest.skip("no C compiler to build the FMUs of the tests with")
-    binary, path = folder / f"{name}.so", folder / f"{name}.fmu"
-    headers = Path(fmpy.__file__).parent / "c-code"
-    command = [compiler, "-shared", "-fPIC", "-O1", f"-DMODEL={number}", f"-I{headers}", str(SOURCE), "-o", str(binary)]
-    subprocess.run(command, check=True, capture_output=True)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-        archive.write(binary, f"binaries/{fmpy.platform}/{name}{fmpy.sharedLibraryExtension}")
-    return path
+def built(folder: Path, name: str, number: int, text: str) -> Path:
+    return build_fmu(folder, name, SOURCE, text, f"-DMODEL={number}")
 
 
 def loaded(folder: Path, name: str):
     number, states, constant = CONTINUOUS[name]
-    path = build_fmu(folder, name, number, description(name, states, (constant.name,), 0))
+    path = built(folder, name, number, description(name, states, (constant.name,), 0))
     outputs = tuple(Signal(state, "-", sigma=0.01) for state in states)
     return path, fmu_model(path, inputs=(), outputs=outputs, params=(constant,))
 
@@ -96,7 +83,7 @@ def test_its_parameter_is_estimated(tmp_path):
 
 @pytest.fixture(scope="module")
 def ball_fmu(tmp_path_factory):
-    return build_fmu(tmp_path_factory.mktemp("ball"), "ball", 3, description("ball", ("h", "v"), ("g", "e"), 1))
+    return built(tmp_path_factory.mktemp("ball"), "ball", 3, description("ball", ("h", "v"), ("g", "e"), 1))
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +93,7 @@ def ball(ball_fmu):
 
 @pytest.fixture(scope="module")
 def stairs_fmu(tmp_path_factory):
-    return build_fmu(tmp_path_factory.mktemp("stairs"), "stairs", 4, description("stairs", (), (), 0))
+    return built(tmp_path_factory.mktemp("stairs"), "stairs", 4, description("stairs", (), (), 0))
 
 
 def theirs_of(path, end_s, dt_s):
