@@ -14,10 +14,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.harness import Texts, run
+from benchmarks.harness import Texts, race_table, run
 from hdt_benchmark.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
 from hdt_benchmark.peers import filter_claim, fit_claim, over
-from hdt_benchmark.timing import Claim, race, table
+from hdt_benchmark.timing import Claim, race
 from hdt_core.estimation import ParticleSwarm, Problem
 
 
@@ -28,7 +28,7 @@ def main(rounds: int = 15, records: int = 8) -> Texts:
         claims.append(swarm_claim(max(rounds // 3, 3), 2))
     except ImportError:
         print("PSO against pyswarms: skipped, pyswarms is not installed (pip install -e '.[benchmark]')")
-    yield "speed of estimators", table(claims, ("numpy", "numba", "scipy", "filterpy", "pyswarms"))
+    yield "speed of estimators", race_table(claims, ("numpy", "numba", "scipy", "filterpy", "pyswarms"))
 
 
 def swarm_claim(rounds: int, records: int) -> Claim:

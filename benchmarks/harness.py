@@ -10,6 +10,9 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
+from hdt_benchmark import timing
+from hdt_benchmark.timing import Claim, clock, times
+
 Texts = Iterator[tuple[str, str]]
 """Marks of a page and what stands there."""
 DOCS = Path(__file__).parents[1] / "docs"
@@ -78,6 +81,20 @@ def markdown(lines: Sequence[Sequence[str]]) -> str:
     """Return a Markdown table: head, then rows."""
     head, *rows = ["| " + " | ".join(line) + " |" for line in lines]
     return "\n".join([head, "| --- |" + " ---: |" * (len(lines[0]) - 1), *rows])
+
+
+def race_table(claims: Iterable[Claim], packages: Sequence[str]) -> str:
+    """Return a Markdown table of claims, followed by machine and versions."""
+    lines = [["work", "who", "time", "per second", "ratio", "goal", "answers apart"]]
+    for claim in claims:
+        for place, (name, seconds) in enumerate(claim.seconds.items()):
+            goal = f"{claim.goals[name]:g} x" if name in claim.goals else "-"
+            if not place and claim.per_second is not None:
+                goal = f"{claim.per_second:,.0f} /s"
+            ratio, apart = (times(claim.ratios[name]), f"{claim.apart[name]:.0e}") if place else ("-", "-")
+            work = "" if place else claim.work
+            lines.append([work, name, clock(seconds), f"{1.0 / seconds:,.0f}", ratio, goal, apart])
+    return f"{markdown(lines)}\n\n{timing.machine(packages)}"
 
 
 def show(mark: str, text: str, page: Path = PAGE, *, write: bool) -> None:

@@ -15,10 +15,10 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
-from benchmarks.harness import Texts, run
+from benchmarks.harness import Texts, race_table, run
 from hdt_benchmark.exchanger import ExchangerSamples, fit_lumped_log
 from hdt_benchmark.peers import conductance_claim
-from hdt_benchmark.timing import Candidate, Claim, race, table
+from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K, lumped_exchanger, steady_outlets_k
 
@@ -110,7 +110,7 @@ def repeated(n: int, fit: Callable[[], float]) -> np.ndarray:
 def main(rounds: int = 7) -> Texts:
     """All claims."""
     claims = (conductance_claim, log_claim, effectiveness_claim)
-    yield "speed of heat exchanger", table([claim(rounds) for claim in claims], ("numpy", "numba", "scipy", "ht"))
+    yield "speed of heat exchanger", race_table([claim(rounds) for claim in claims], ("numpy", "numba", "scipy", "ht"))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import pandas as pd
 import polars as pl
 from scipy.optimize import brentq, minimize_scalar
 
+from benchmarks.harness import race_table
 from benchmarks.scale import Silent
 from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.calibration import exchanger as hx
@@ -124,5 +125,4 @@ def _flights(path: Path) -> int:
 
 
 if __name__ == "__main__":
-    for claim in main():
-        print("\n".join(claim.rows()))
+    print(race_table(main(), ("numpy", "polars", "pandas", "scipy")))

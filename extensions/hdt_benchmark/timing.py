@@ -53,19 +53,6 @@ class Claim:
         """Return each peer's time over ours."""
         return {peer: peer_s / self.ours_s for peer, peer_s in list(self.seconds.items())[1:]}
 
-    def rows(self) -> list[str]:
-        """Return the lines of the table."""
-        lines = []
-        for place, (name, seconds) in enumerate(self.seconds.items()):
-            ratio = times(self.ratios[name]) if place else "-"
-            goal = f"{self.goals[name]:g} x" if name in self.goals else "-"
-            if not place and self.per_second is not None:
-                goal = f"{self.per_second:,.0f} /s"
-            apart = f"{self.apart[name]:.0e}" if name in self.apart else "-"
-            cells = ("" if place else self.work, name, clock(seconds), f"{1.0 / seconds:,.0f}", ratio, goal, apart)
-            lines.append("| " + " | ".join(cells) + " |")
-        return lines
-
 
 def race(
     work: str,
@@ -89,13 +76,6 @@ def race(
     apart = {name: _apart(ours, other) for name, other in list(answers.items())[1:]}
     medians = {name: float(np.median(seconds)) for name, seconds in durations.items()}
     return Claim(work, medians, apart, dict(goals or {}), per_second)
-
-
-def table(claims: Sequence[Claim], packages: Sequence[str]) -> str:
-    """Return Markdown of all claims, followed by machine and versions."""
-    columns = ("work", "who", "time", "per second", "ratio", "goal", "answers apart")
-    head = ["| " + " | ".join(columns) + " |", "| --- | --- |" + " ---: |" * (len(columns) - 2)]
-    return "\n".join([*head, *(row for claim in claims for row in claim.rows()), "", machine(packages)])
 
 
 def machine(packages: Sequence[str]) -> str:

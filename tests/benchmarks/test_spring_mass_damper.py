@@ -1,9 +1,8 @@
 """The benchmark runs, and its page and figures come out of its result."""
 
 from benchmarks.estimators import filter_claim, fit_claim
-from benchmarks.harness import put
+from benchmarks.harness import put, race_table
 from benchmarks.spring_mass_damper import contestants, figures, main, tables
-from hdt_benchmark.timing import table
 
 
 def test_tables_and_figures_follow_from_the_result(tmp_path):
@@ -26,7 +25,7 @@ def test_peers_give_the_same_answers():
     assert max(fit.apart.values()) < 1e-5
     assert fit.apart["SciPy trf, tolerances of 1e-14"] < 1e-6
     assert max(filtered.apart.values()) < 1e-10
-    text = table([fit, filtered], ["numpy"])
+    text = race_table([fit, filtered], ["numpy"])
     cells = [line.split(" | ")[5] for line in text.splitlines() if line.count(" | ") > 5][2:]
     assert (cells.count("130 x"), cells.count("100 x")) == (1, 2)
     assert f"{filtered.ratios['filterpy in a Python loop']:,.0f} x | 100 x" in text
