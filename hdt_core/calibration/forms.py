@@ -6,6 +6,7 @@ import numpy as np
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.diffuser_line import BlockRows
+from hdt_core.robust import group_means
 
 FOLDS, RESAMPLES = 5, 200
 FORMS = {"constant": 0, "linear": 1, "quadratic": 2, "cubic": 3}
@@ -81,12 +82,9 @@ def _thin(rows: BlockRows) -> BlockRows:
 
 def _predict(rows: BlockRows, basis: Array, use: Array) -> Array:
     """Predict by least squares on `use`, with a level for each block; NaN where a block has none."""
-    n = np.bincount(rows.block, use, len(rows.blocks))
-    with np.errstate(invalid="ignore"):
-        y_mean = np.bincount(rows.block, use * rows.y, len(n)) / n
-        if not basis.size:
-            return np.asarray(y_mean[rows.block])
-        basis_means = np.stack([np.bincount(rows.block, use * b, len(n)) / n for b in basis.T], axis=1)
-    deviations = basis - basis_means[rows.block]
-    slopes = np.linalg.lstsq(deviations[use], (rows.y - y_mean[rows.block])[use], rcond=None)[0]
-    return np.asarray(y_mean[rows.block] + deviations @ slopes)
+    columns = np.column_stack([rows.y, basis])
+    means, n = group_means(columns, rows.block, use.astype(float))
+    means[n < 1.0] = np.nan
+    deviations = columns - means[rows.block]
+    slopes = np.linalg.lstsq(deviations[use, 1:], deviations[use, 0], rcond=None)[0]
+    return np.asarray(means[rows.block, 0] + deviations[:, 1:] @ slopes)
