@@ -16,7 +16,7 @@ from hdt_benchmark.exchanger_compiled import (
     vectorised,
 )
 from hdt_core.estimation.problem import Array
-from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
+from hdt_core.physics.heat_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
 
 SETTLED = 1e-6
 LEAST_H_W_K, MOST_H_W_K = 1.0, 1e6

@@ -1,6 +1,6 @@
 """The air-to-air heat exchanger of the pack: conductance that follows the flows, and effectiveness.
 
-The default for health. `lumped_exchanger` holds the paper's equations (7)-(8).
+The default for health. The paper's equations (7)-(8) are beside their fit, in `extensions/hdt_benchmark`.
 """
 
 from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
@@ -16,6 +16,8 @@ REFERENCE_HOT_FILM_K, REFERENCE_COLD_FILM_K = 355.0, 285.0
 FILM_EXPONENT = 0.38
 """How a film coefficient grows with absolute temperature at the same flow: k^0.67 mu^-0.27 of air."""
 OUTLET_ROUNDS = 4
+CP_HOT_J_KG_K, CP_COLD_J_KG_K = 1009.0, 1005.0
+"""Constants of equations (7)-(8): specific heat of air at the mean temperature of each side, 330 and 270 K. [J/kg/K]"""
 
 
 def clean_conductance_w_k(

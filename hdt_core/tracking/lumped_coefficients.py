@@ -5,7 +5,7 @@ import polars as pl
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.exchanger import BIAS_SD
-from hdt_core.physics.lumped_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
+from hdt_core.physics.heat_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
 from hdt_core.tracking.flight_panel import health_rows
 
 ACROSS_SD_K = float(np.hypot(BIAS_SD["hx_out_k"], BIAS_SD["ram_out_k"]))

@@ -1,7 +1,7 @@
 """The paper's heat exchanger, equations (7) and (8): two states, each stream one stirred volume.
 
 Its exchange is driven by the difference of the outlet temperatures, so it cannot represent an efficient exchanger: see
-`effectiveness_ceiling` and docs/errata.md. `heat_exchanger` is the default for health.
+`effectiveness_ceiling` and docs/errata.md. `hdt_core.physics.heat_exchanger` is the default for health.
 """
 
 from collections.abc import Callable
@@ -10,13 +10,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hdt_core.physics.heat_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
 from hdt_core.physics.model import Array, Equation, Param, PhysicsModel, Signal, State, with_signature
 
 Factors = tuple[Array, Array, Array, Array]
 """Entries of a 2 x 2 matrix, row by row: the state x, with x' = [[p, q], [r, s]] x, is multiplied by it each step."""
 Form = Literal["quasi_steady", "exact", "euler", "tustin"]
-CP_HOT_J_KG_K, CP_COLD_J_KG_K = 1009.0, 1005.0
-"""Specific heat of air at the mean temperature of each side, 330 and 270 K. [J/kg/K]"""
 
 
 def exact_factors(p: Array, q: Array, r: Array, s: Array, dt_s: float) -> Factors:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hdt_core.physics.core_exchanger import CORE_EXCHANGER, core
+from hdt_benchmark.core_exchanger import CORE_EXCHANGER, core
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates
 
 AT = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k": 250.0}
