@@ -48,7 +48,7 @@ def forecasts(fleet: Frames, component: str) -> dict[str, pl.DataFrame]:
     product = update_model(base, None, record).prognoses
     alone = {c: ComponentFit(rule, levels=prior_levels(base, c)) for c, rule in PRIOR_RULES.items()}
     by_base = predict_prognosis(Prognosis(base.hazard, base.base_levels, alone, "base"), record.features, lives)
-    track = record.tracks()[component]
+    track = tracks(record.features, lives, component)
     rows = fleet_rows(track, PRIOR_RULES[component]).features
     by_contestant = {"product": product, "base alone": by_base, "physics alone": _physics(track, rows, component)}
     if component == "HX":
@@ -91,9 +91,9 @@ def _logistic(record: FleetRecord, track: Tracks, rows: Array, component: str) -
     for month in record.months():
         before = record.as_of(start_of(month))
         own = fleet_rows(tracks_as_of(track, start_of(month), before.lives(), component), PRIOR_RULES[component])
-        taught = own.take((own.remaining >= 1) & ~np.isnan(own.features[:, INPUTS.index("level")]))
+        use = (own.remaining >= 1) & ~np.isnan(own.features[:, INPUTS.index("level")])
         this_month = (month_at == month).to_numpy()
-        by[this_month] = _fitted(_trend(taught.features), taught.remaining, taught.failed)(trend[this_month])
+        by[this_month] = _fitted(_trend(own.features[use]), own.remaining[use], own.failed[use])(trend[this_month])
     return _prognoses(track, by, component)
 
 

@@ -15,7 +15,7 @@ from hdt_core.margin.first_passage import wear_rate
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, events_ahead, quantile
 from hdt_core.prognosis.model import HORIZON, OUT_OF_FOLD
-from hdt_core.prognosis.unit_lives import Failure, component_lives
+from hdt_core.prognosis.unit_lives import component_lives
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Array
 
@@ -136,7 +136,7 @@ def _failures(past: FleetRecord, component: Component) -> pl.DataFrame:
     rows = past.features.sort(*PACK, "departed_at", "flight_id")
     if component.message_code is None or rows.is_empty():
         return pl.DataFrame(schema={"tail": pl.String, "loss": pl.Float64})
-    lives = component_lives(rows, past.messages, past.maintenance, Failure(component.code, component.message_code))
+    lives = component_lives(rows, past.messages, past.maintenance, component)
     ends = lives.filter("failed").select(*PACK, row=pl.col("end_row"))
     flights = rows.with_columns(row=pl.int_range(pl.len()).over(PACK).cast(pl.Int64))
     last = pl.col("loss").forward_fill().over(PACK)

@@ -52,10 +52,6 @@ class FeatureRows:
     failed: Array
     life: Array
 
-    def take(self, mask: Array) -> "FeatureRows":
-        """Select the rows of `mask`."""
-        return FeatureRows(self.features[mask], self.remaining[mask], self.failed[mask], self.life[mask])
-
 
 @dataclass(frozen=True, slots=True)
 class Tracks:

@@ -1,14 +1,14 @@
 """Record of a fleet, and the flights of it that have a prognosis already."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, date, datetime
 
 import numpy as np
 import polars as pl
 
-from hdt_core.prognosis.feature_rows import PRIOR_RULES, Tracks, tracks
+from hdt_core.prognosis.feature_rows import Tracks
 from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Array
@@ -49,10 +49,6 @@ class FleetRecord:
         """Cut the lives of all units."""
         return episodes(self.features, self.messages, self.maintenance)
 
-    def tracks(self) -> "FleetTracks":
-        """Return health tracks by component."""
-        return FleetTracks(self.features, self.lives())
-
 
 def month_of(departed_at: pl.Series) -> pl.Series:
     """Return the first day of each flight's month, UTC."""
@@ -62,23 +58,6 @@ def month_of(departed_at: pl.Series) -> pl.Series:
 def start_of(month: date) -> datetime:
     """Return the first moment of a month, UTC."""
     return datetime(month.year, month.month, month.day, tzinfo=UTC)
-
-
-@dataclass(frozen=True, slots=True)
-class FleetTracks(Mapping[str, Tracks]):
-    """Health tracks by component, computed at each access, for those of a large fleet are larger than its record."""
-
-    features: pl.DataFrame
-    lives: pl.DataFrame
-
-    def __getitem__(self, component: str) -> Tracks:
-        return tracks(self.features, self.lives, component)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(PRIOR_RULES)
-
-    def __len__(self) -> int:
-        return len(PRIOR_RULES)
 
 
 def score_months(

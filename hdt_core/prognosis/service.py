@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
-from hdt_core.prognosis.feature_rows import Tracks, tracks_as_of
+from hdt_core.prognosis.feature_rows import PRIOR_RULES, Tracks, tracks, tracks_as_of
 from hdt_core.prognosis.fleet_record import FleetRecord, ScoredFlights, month_of, score_months, start_of
 from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 from hdt_core.prognosis.model import (
@@ -150,8 +150,9 @@ def _forecast(
         old_keys = track.keys.filter(~is_new).select(*PACK, "flight_id", pl.lit(component).alias("component"))
         return pl.concat(parts), old_keys
 
-    fleet_tracks = record.tracks()
-    predictions, old_keys = zip(*(predict_component(c, fleet_tracks[c]) for c in fleet_tracks), strict=True)
+    all_lives = record.lives()
+    by_component = (predict_component(c, tracks(record.features, all_lives, c)) for c in PRIOR_RULES)
+    predictions, old_keys = zip(*by_component, strict=True)
     models |= {month: assemble(base, folds[month], fits[month]) for month in tails}
     new_prognoses = pl.concat(predictions).with_columns(_version_of(models))
     old_prognoses = (

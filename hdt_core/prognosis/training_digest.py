@@ -6,10 +6,8 @@ enter from the next month on.
 """
 
 import hashlib
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import date
-from typing import Any
 
 import polars as pl
 
@@ -50,10 +48,6 @@ class TrainingDigest:
     ended: list[str]
     flights: dict[str, int]
 
-    def to_json(self) -> str:
-        """Serialise."""
-        return json.dumps(asdict(self), separators=(",", ":"))
-
 
 def training_digests(record: FleetRecord, base: str, design: str = "") -> dict[date, TrainingDigest]:
     """Digest the training data of each month's model: the record before the month began."""
@@ -72,12 +66,6 @@ def training_digests(record: FleetRecord, base: str, design: str = "") -> dict[d
         return TrainingDigest(base, design, tails, operators, sorted(ended_lives.filter(is_past)["life"]), counts)
 
     return {month: digest(month) for month in record.months()}
-
-
-def read_digest(text: str) -> TrainingDigest:
-    """Parse the result of `to_json`."""
-    fields: dict[str, Any] = json.loads(text)
-    return TrainingDigest(**fields)
 
 
 def retraining_reason(now: TrainingDigest, last: TrainingDigest | None) -> str:

@@ -1,9 +1,8 @@
 """Cut lives of units from flights, messages and the maintenance log."""
 
-from dataclasses import dataclass
-
 import polars as pl
 
+from hdt_core.components import Component
 from hdt_core.components.compressor import CC
 from hdt_core.components.exchanger import HX
 from hdt_core.records.keys import PACK
@@ -11,18 +10,6 @@ from hdt_core.records.unit_index import first_flights
 
 # a message is answered within nine flights, the log may be five flights late, and the day it names ends five later
 ANSWER_FLIGHTS = 20
-
-
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """Failure of a component's unit: a message code that is answered by a replacement."""
-
-    component: str
-    message_code: str
-
-
-FAILURES = tuple(Failure(c.code, c.message_code) for c in (HX, CC) if c.message_code)
-"""Failures of the pack's parts."""
 
 
 def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
@@ -46,7 +33,7 @@ def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.Dat
         age_known, mute (the operator has sent no message of any kind, so that its failures are not recorded).
     """
     flights = flight_rows(features)
-    parts = [_lives(flights, messages, maintenance, failure) for failure in FAILURES]
+    parts = [_lives(flights, messages, maintenance, component) for component in (HX, CC)]
     return pl.concat(parts).sort("component", *PACK, "life").with_columns(mute=_mute(messages))
 
 
@@ -111,26 +98,23 @@ def with_lives(flights: pl.DataFrame, lives: pl.DataFrame, component: str) -> pl
     )
 
 
-def installations(flights: pl.DataFrame, maintenance: pl.DataFrame, component: str) -> pl.DataFrame:
-    """Find rows on which another unit flies first, by `records.unit_index`: operator, tail, pack, first_row."""
-    changes = first_flights(flights, maintenance, (component,))
-    return changes.select(*PACK, first_row="row").unique()
-
-
 def component_lives(
-    features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
+    features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
 ) -> pl.DataFrame:
     """Cut lives of one component, as in `episodes`."""
-    return _lives(flight_rows(features), messages, maintenance, failure).with_columns(mute=_mute(messages))
+    return _lives(flight_rows(features), messages, maintenance, component).with_columns(mute=_mute(messages))
 
 
-def _lives(flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure) -> pl.DataFrame:
-    replaced_units = installations(flights, maintenance, failure.component)
+def _lives(
+    flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
+) -> pl.DataFrame:
+    changes = first_flights(flights, maintenance, (component.code,))
+    replaced_units = changes.select(*PACK, first_row="row")
     initial = flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64))
     last = flights.group_by(PACK).agg(n_rows=pl.len().cast(pl.Int64))
     lives = pl.concat([initial, replaced_units]).unique().sort(*PACK, "first_row")
     lives = lives.join(last, on=PACK, validate="m:1").with_columns(next_row=pl.col("first_row").shift(-1).over(PACK))
-    ends = _credible_messages(flights, messages, maintenance, failure)
+    ends = _credible_messages(flights, messages, maintenance, component)
     ends = lives.join(ends, on=PACK, how="left", validate="m:m").filter(
         (pl.col("message_row") >= pl.col("first_row"))
         & (pl.col("message_row") <= pl.col("next_row"))
@@ -140,7 +124,7 @@ def _lives(flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFr
     lives = lives.join(ends, on=[*PACK, "first_row"], how="left", validate="m:1")
     return lives.select(
         *PACK,
-        pl.lit(failure.component).alias("component"),
+        pl.lit(component.code).alias("component"),
         pl.int_range(pl.len()).over(PACK).alias("life"),
         "first_row",
         pl.coalesce("message_row", "next_row", "n_rows").alias("end_row"),
@@ -151,13 +135,15 @@ def _lives(flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFr
 
 
 def _credible_messages(
-    flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, failure: Failure
+    flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
 ) -> pl.DataFrame:
     """Select rows with the component's message, without those followed by an inspection that found no fault."""
-    rows = messages.filter(pl.col("code") == failure.message_code).select("tail", "flight_id", "pack").unique()
+    rows = (
+        messages.filter(pl.col("code") == (component.message_code or "")).select("tail", "flight_id", "pack").unique()
+    )
     rows = flights.join(rows, on=["tail", "flight_id", "pack"], validate="m:1")
     inspections = maintenance.filter(
-        (pl.col("component") == failure.component) & (pl.col("finding") == "NO_FAULT_FOUND")
+        (pl.col("component") == component.code) & (pl.col("finding") == "NO_FAULT_FOUND")
     ).select(*PACK, "done_on")
     # inspected on one of the three days after: the message had another cause (the same day's entry may precede it)
     false_rows = rows.join(inspections, on=PACK, validate="m:m").filter(

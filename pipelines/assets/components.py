@@ -11,7 +11,7 @@ from hdt_core.components import Component, component_rows, recorded_components
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
 from hdt_core.prognosis.component_life import component_prognoses
-from hdt_core.prognosis.unit_lives import Failure, component_lives, life_table
+from hdt_core.prognosis.unit_lives import component_lives, life_table
 from hdt_core.records.keys import LEG
 from hdt_core.tables import TABLES
 from hdt_core.tracking.component_readings import component_readings
@@ -146,8 +146,7 @@ def _lives(
 ) -> pl.DataFrame:
     """Return lives of a component's units; without a declared message all are censored."""
     rows = features.filter(component=component.code)
-    failure = Failure(component.code, component.message_code or "")
-    return life_table(rows, component_lives(rows, messages, maintenance, failure))
+    return life_table(rows, component_lives(rows, messages, maintenance, component))
 
 
 def _concat(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import asdict
 
 import polars as pl
 
@@ -10,7 +11,7 @@ from hdt_core.prognosis.feature_rows import LOSSES, MARGIN_FEATURES
 from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.model_card import fits_to_json, model_card, with_fits
 from hdt_core.prognosis.service import ModelUpdate, MonthModel, update_model
-from hdt_core.prognosis.training_digest import read_digest
+from hdt_core.prognosis.training_digest import TrainingDigest
 from hdt_core.prognosis.unit_lives import life_table
 from hdt_core.records.keys import PACK
 from pipelines.assets.stage import StageResult, stage
@@ -76,7 +77,7 @@ def _model_in_service(stored: pl.DataFrame, store: Store) -> ModelUpdate | None:
         row["month"]: MonthModel(
             with_fits(base, json.loads(row["fits"])),
             json.loads(row["card"]),
-            read_digest(row["training_digest"]),
+            TrainingDigest(**json.loads(row["training_digest"])),
             json.loads(row["scored_flights"]),
             json.loads(row["service"]),
         )
@@ -91,7 +92,8 @@ def _rows(update: ModelUpdate, base: bytes) -> pl.DataFrame:
         {
             "month": month, "model_version": month_model.model.version, "card": json.dumps(month_model.card),
             "service": json.dumps(month_model.service), "fits": json.dumps(fits_to_json(month_model.model)),
-            "training_digest": month_model.digest.to_json(), "scored_flights": json.dumps(month_model.scored_flights),
+            "training_digest": json.dumps(asdict(month_model.digest), separators=(",", ":")),
+            "scored_flights": json.dumps(month_model.scored_flights),
             "model": base if month_model is update.newest else None,
         }
         for month, month_model in sorted(update.months.items())

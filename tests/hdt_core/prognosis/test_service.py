@@ -105,7 +105,7 @@ def test_each_tail_is_judged_by_what_the_others_taught(fleet, base, at_once):
     others = FleetRecord(
         *(f.filter(~pl.col("tail").is_in(own_fold.tails)) for f in (past.features, past.messages, past.maintenance))
     )
-    (alone,) = fit_component(base, others.tracks()["HX"], "HX", [])
+    (alone,) = fit_component(base, tracks(others.features, others.lives(), "HX"), "HX", [])
     assert alone.failures == own_fold.fits["HX"].failures
     np.testing.assert_allclose(alone.correction.weights, own_fold.fits["HX"].correction.weights, atol=1e-9)
     np.testing.assert_allclose(alone.levels, own_fold.fits["HX"].levels, atol=1e-9)

@@ -217,7 +217,7 @@ def test_tracks_are_cut_into_lives():
     other = fleet_rows(track, {"": MessageRule(0.2, 7.0, 2.5, 3)}, np.arange(100) >= 98)
     assert other.features.shape[0] == 2
     assert other.features[1, -1] == pytest.approx(2.5 * 0.03)
-    assert other.take(np.array([False, True])).remaining.tolist() == [1.0]
+    assert other.remaining.tolist()[1:] == [1.0]
     limited = fleet_rows(track, Limit(0.38, 0.06, 0.05))
     assert limited.features[99, -1] == pytest.approx(0.06 / 0.62)
     assert limited.features[99, FEATURES.index("reserve_95")] == pytest.approx(-0.1 - np.log(0.62))
@@ -249,10 +249,10 @@ def test_of_a_simulated_life_every_twentieth_flight_is_a_row():
         first = (-begins.integers(0, 20, len(left))) % 20
         for unit, start in enumerate(first):
             flights = [k for k in range(start, 60, 20) if left[unit, k] >= 1]
-            own = rows.take(rows.life == n + unit)
-            assert own.remaining.tolist() == left[unit, flights].tolist()
-            assert own.failed.tolist() == failed[unit, flights].tolist()
-            assert (own.features[:, -1] == doubt).all()
+            own = rows.life == n + unit
+            assert rows.remaining[own].tolist() == left[unit, flights].tolist()
+            assert rows.failed[own].tolist() == failed[unit, flights].tolist()
+            assert (rows.features[own, -1] == doubt).all()
         n += len(left)
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hdt_core.alerts.grid import Grid
 from hdt_core.health.features import since_maintenance
-from hdt_core.prognosis.unit_lives import episodes, installations
+from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.records.renewals import REPLACEMENT, log_flags
 from hdt_core.records.unit_index import date_entries, first_flights, number_units
 from hdt_core.simulate.design import FleetSettings
@@ -75,7 +75,7 @@ def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
     grid = Grid.from_frame(flights)
     ends = grid.worked_on(log, ("HX",), ("REPLACED",))[0][: flights.height]
     rows = flights.with_columns(row=pl.int_range(pl.len()))
-    installed = set(installations(rows, log, "HX")["first_row"].to_list())
+    installed = set(first_flights(rows, log, ("HX",))["row"].to_list())
     ids = flights["flight_id"]
     return {
         "records": units.filter(pl.col("unit").diff() > 0)["flight_id"].to_list(),
