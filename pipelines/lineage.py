@@ -164,7 +164,7 @@ STAGES = (
     ),
     declare_stage(
         "twin_health", "twin", "twin_health", "twin_checkpoints", parents=("twin_flights", "raw_maintenance"),
-        code="13", fresh="twin_health", label="health, features, alerts",
+        code="14", fresh="twin_health", label="health, features, alerts",
     ),
     declare_stage(  # legs are admitted after the twin, which does not depend on it
         "legs_admitted", "features", "legs_admitted",
@@ -190,7 +190,7 @@ STAGES = (
     ),
     declare_stage(
         "twin_components", "twin", "twin_components", "residuals_components", parents=("calibration_components",),
-        code="4",
+        code="5",
     ),
     declare_stage(
         "features_components", "features", "features_components", "features_component_alerts",

@@ -96,7 +96,9 @@ TABLES: dict[str, StoredTable] = {
     "calibration_window": StoredTable(calibration.CalibrationWindow, "fleet", ("operator", "tail")),
     "twin_flights": StoredTable(twin.TwinFlights, "flight", _FLIGHT_PACK, "month"),
     "twin_health": StoredTable(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
-    "twin_checkpoints": StoredTable(twin.TwinCheckpoints, "aircraft", ("pack", "chapter", "history"), whole=True),
+    "twin_checkpoints": StoredTable(
+        twin.TwinCheckpoints, "aircraft", ("pack", "component", "parameter", "chapter", "history"), whole=True
+    ),
     "residuals": StoredTable(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
     "features_cross_checks": StoredTable(features.FeaturesCrossChecks, "flight", _FLIGHT_PACK, "month"),
     "features_margin": StoredTable(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),

@@ -19,8 +19,13 @@ class Revision(NamedTuple):
 REVISIONS = (
     Revision(
         ("twin_health", "health_parameters"),
-        ("hx_fouling_smoothed",),
+        ("hx_fouling_smoothed", "cc_efficiency_loss_smoothed", "cc_diameter_loss_smoothed"),
         "the smoother uses 50 to 100 later flights, so no decision uses its values",
+    ),
+    Revision(
+        ("twin_components", "health_parameters"),
+        ("<parameter>_smoothed",),
+        "the same, of a declared component's parameters",
     ),
     Revision(
         ("legs_admitted", "legs"),

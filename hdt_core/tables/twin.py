@@ -62,12 +62,12 @@ class TwinHealth(DatedLegTable):
 
     component = text("HX or CC", nullable=False)
     parameter = text(
-        "name; hx_fouling_smoothed looks ahead, by 50 to 100 flights: for looking back, never for deciding",
+        "name; one that ends in _smoothed looks ahead, by 50 to 100 flights: for looking back, never for deciding",
         nullable=False,
         primary_key=True,
     )
     value = number(
-        "estimate after this flight, in `unit`, from no later one but for hx_fouling_smoothed; "
+        "estimate after this flight, in `unit`, from no later one but for those called smoothed; "
         "losses: 0 as built, larger is worse"
     )
     sd = number("standard deviation, in `unit`", low=0)
@@ -80,6 +80,8 @@ class TwinCheckpoints(AircraftTable):
     """One of the hypotheses about a pack as a chapter of fifty flights began: a checkpoint from which nights go on."""
 
     pack = pack_key()
+    component = text("HX or CC", nullable=False, primary_key=True)
+    parameter = text("health parameter whose track it continues", nullable=False, primary_key=True)
     chapter = column(
         dy.Int64, "chapter of the pack's flights, from 1; the first needs no checkpoint", "-", primary_key=True
     )

@@ -9,11 +9,12 @@ import polars as pl
 from hdt_core.calibration.arrays import Array
 from hdt_core.records.keys import PACK
 from hdt_core.tables.twin import TwinCheckpoints
-from hdt_core.tracking.hypotheses import Hypotheses
+from hdt_core.tracking.hypotheses import Hypotheses, join
 
 STATES = 5
 LABELS = ("log_weight", "pace", "since", "unlogged", "faulty")
-PLACE = [*PACK, "chapter"]
+TRACK = [*PACK, "component", "parameter"]
+PLACE = [*TRACK, "chapter"]
 CHECKPOINT_KEY = [*PLACE, "seen"]
 """Of a segment; and with the digest of the flights before it. The table calls a segment a chapter."""
 _EMPTY = pl.DataFrame(schema=TwinCheckpoints.types())
@@ -43,7 +44,7 @@ def read_checkpoints(rows: pl.DataFrame, packs: pl.DataFrame, digests: list[list
     rows : DataFrame
         Of `checkpoint_rows`.
     packs : DataFrame
-        `PACK`, in order.
+        `TRACK`, in order.
     digests : list of list of str
         Of `flight_panel.fingerprints`: digest of each pack's flights before each segment.
     """
@@ -52,7 +53,7 @@ def read_checkpoints(rows: pl.DataFrame, packs: pl.DataFrame, digests: list[list
     valid = rows.select(_EMPTY.columns).join(keys, on=CHECKPOINT_KEY, how="semi").sort(*CHECKPOINT_KEY, "history")
     segments_of: dict[int, set[int]] = {p: {0} for p in range(packs.height)}
     number = {row: p for p, row in enumerate(packs.rows())}
-    for *pack, segment in valid.select(*PACK, "chapter").unique().rows():
+    for *pack, segment in valid.select(PLACE).unique().rows():
         segments_of[number[tuple(pack)]].add(segment)
     begin = {p: max((c - 1 for c in segments if c - 1 in segments), default=0) for p, segments in segments_of.items()}
     checkpoints = {}
@@ -67,20 +68,26 @@ def checkpoint_rows(
 ) -> pl.DataFrame:
     """Return rows of the checkpoints that stay valid and of new ones; the first segment needs none."""
     valid = restart.valid.join(_places((*packs.row(p), c) for p, c in starts), on=PLACE, how="anti")
-    rows = [_rows(packs.row(p), c, digests[p][c], starts[p, c]) for p, c in sorted(starts) if c]
-    return pl.concat([valid, *rows]).sort(*CHECKPOINT_KEY, "history")
+    places = [place for place in sorted(starts) if place[1]]
+    rows = _rows([(*packs.row(p), c, digests[p][c]) for p, c in places], [starts[place] for place in places])
+    return pl.concat([valid, rows]).sort(*CHECKPOINT_KEY, "history")
 
 
 def _places(rows: Iterable[tuple[Any, ...]]) -> pl.DataFrame:
     return pl.DataFrame(list(rows), schema=_EMPTY.select(PLACE).schema, orient="row")
 
 
-def _rows(pack: tuple[Any, ...], segment: int, digest: str, b: Hypotheses) -> pl.DataFrame:
-    n = len(b.pack)
-    columns: dict[str, Any] = {c: [v] * n for c, v in zip(CHECKPOINT_KEY, (*pack, segment, digest), strict=True)}
-    columns |= {c: getattr(b, c) for c in LABELS}
-    columns |= {"mean": b.mean.tolist(), "cov": b.cov.reshape(n, STATES**2).tolist(), "history": np.arange(n)}
-    return TwinCheckpoints.conform(pl.DataFrame(columns))
+def _rows(keys: list[tuple[Any, ...]], parts: list[Hypotheses]) -> pl.DataFrame:
+    if not parts:
+        return _EMPTY
+    b, counts = join(parts), [len(part.pack) for part in parts]
+    columns: dict[str, Any] = {c: getattr(b, c) for c in LABELS}
+    columns |= {"mean": b.mean.tolist(), "cov": b.cov.reshape(len(b.pack), STATES**2).tolist()}
+    columns |= {"history": np.concatenate([np.arange(n) for n in counts])}
+    rows = pl.DataFrame(keys, schema=_EMPTY.select(CHECKPOINT_KEY).schema, orient="row")
+    return TwinCheckpoints.conform(
+        pl.concat([rows[np.repeat(np.arange(len(keys)), counts)], pl.DataFrame(columns)], how="horizontal")
+    )
 
 
 def _hypotheses(rows: pl.DataFrame) -> Hypotheses:

@@ -12,12 +12,11 @@ from hdt_core.components.exchanger import HX
 from hdt_core.estimation import Estimate, Estimator, NonlinearLeastSquares, estimators
 from hdt_core.estimation.problem import Belief
 from hdt_core.physics.model import Param, PhysicsModel
-from hdt_core.records.keys import IN_ORDER, PACK
+from hdt_core.records.keys import IN_ORDER
+from hdt_core.records.packs import split_packs
 from hdt_core.robust import MAD_TO_SD
-from hdt_core.tracking.flight_panel import FILTERED, health_rows, lay_out
-from hdt_core.tracking.segments import filter_segments
+from hdt_core.tracking.loss_filter import Loss, track_loss
 from hdt_core.tracking.sequential import recorded_outputs, samples_problem
-from hdt_core.tracking.track import loss_of
 from hdt_core.tracking.wear_model import PACES, UNIT_SD, WEAR_STEP, Pace, Settings
 
 LEAST_STEPS = 8
@@ -123,27 +122,21 @@ def track_component(
     if flights.is_empty():
         raise ValueError(f"{component.model.name}: no flight to follow")
     rows, offset = flights.sort(IN_ORDER), offset or DesignOffset()
-    return pl.concat([_track(rows, p, component, maintenance, offset) for p in component.model.free("health")])
+    losses = (_loss(rows, param, component, offset) for param in component.model.free("health"))
+    return pl.concat(track_loss(rows, maintenance, loss).health for loss in losses)
 
 
-def _track(
-    flights: pl.DataFrame, param: Param, component: Component, maintenance: pl.DataFrame, offset: DesignOffset
-) -> pl.DataFrame:
-    """Filter one parameter along each pack."""
+def _loss(flights: pl.DataFrame, param: Param, component: Component, offset: DesignOffset) -> Loss:
+    """Build one parameter's loss from the flights' estimates."""
     size, settings = wear_settings(component, param, offset)
     estimates = flights.select(pl.when(~pl.col("status").is_in(WITHOUT_ESTIMATE)).then(param.name), f"{param.name}_sd")
     loss, loss_sd = estimates.to_numpy().astype(float).T
     wear, sd = (x / size for x in wear_of(loss, loss_sd, param))
-    variance = np.where(np.isfinite(wear), sd**2 + _scatter(flights, wear, sd) ** 2, 1.0)
-    observations = (-wear - offset.shift / size, variance, np.ones_like(wear))
-    panel = lay_out(flights, observations, maintenance, component.code, component.ended_by)
-    begin = np.zeros(panel.row.shape[1], dtype=np.int64)
-    level, level_sd = filter_segments(panel, settings, begin, {}, smoothed=False).tracks[:2]
-    value, value_sd = size * level, size * level_sd
-    if param.is_share:
-        value, value_sd = loss_of(value, value_sd)
+    scatter = np.concatenate([np.full(len(r), scatter_sd(wear[r], sd[r] ** 2)) for r in split_packs(flights)])
+    variance = np.where(np.isfinite(wear), sd**2 + scatter**2, 1.0)
     status = pl.when(pl.Series(np.isfinite(wear))).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
-    return health_rows(flights, (component.code, param.name, param.unit, FILTERED), value, value_sd, status)
+    observations = (-wear - offset.shift / size, variance, np.ones_like(wear))
+    return Loss(component, param, size, settings, observations, status)
 
 
 def wear_settings(component: Component, param: Param, offset: DesignOffset) -> tuple[float, Settings]:
@@ -174,11 +167,14 @@ def wear_of(loss: Array, sd: Array, param: Param) -> tuple[Array, Array]:
     return (-np.log1p(-loss), sd / (1.0 - loss)) if param.is_share else (loss, sd)
 
 
-def _scatter(flights: pl.DataFrame, wear: Array, sd: Array) -> Array:
-    """Estimate a flight's sd about its pack's health beyond its own `sd`, from the steps between the pack's flights."""
-    frame = flights.select(PACK).with_columns(wear=pl.Series(wear).fill_nan(None), var=pl.Series(sd**2).fill_nan(None))
-    steps = pl.col("wear").drop_nulls().diff()
-    own_var = pl.col("var").filter(pl.col("wear").is_not_null()).mean()
-    excess_var = (MAD_TO_SD * steps.abs().median()) ** 2 / 2.0 - own_var
-    pack_var = pl.when(steps.len() > LEAST_STEPS).then(excess_var)
-    return frame.select(pl.max_horizontal(pack_var.over(PACK), pl.lit(MIN_FLIGHT_SD**2)).sqrt()).to_series().to_numpy()
+def scatter_sd(wear: Array, own_variance: Array, usual_sd: float = MIN_FLIGHT_SD) -> float:
+    """Estimate a flight's sd about its pack's health beyond its own from the steps between a pack's flights.
+
+    `wear` is NaN where a flight has no estimate; `usual_sd` is the answer where steps are few.
+    """
+    has_wear = np.isfinite(wear)
+    steps = np.diff(wear[has_wear])
+    if len(steps) < LEAST_STEPS:
+        return usual_sd
+    excess_var = (MAD_TO_SD * np.median(np.abs(steps))) ** 2 / 2.0 - own_variance[has_wear].mean()
+    return float(np.sqrt(max(excess_var, MIN_FLIGHT_SD**2)))

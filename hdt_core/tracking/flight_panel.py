@@ -8,11 +8,9 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.calibration.dsm import Dsm
 from hdt_core.records.keys import LEG_AT
 from hdt_core.records.packs import split_packs
 from hdt_core.records.renewals import RENEWALS, log_flags, log_kept
-from hdt_core.tracking.sensor_shifts import Corrections
 from hdt_core.tracking.wear_model import Observation
 
 FILTERED = "kalman_filtered"
@@ -35,15 +33,6 @@ class FlightPanel(NamedTuple):
     def flights(self) -> Array:
         """Number of flights of each pack. (packs,)"""
         return np.asarray((self.row >= 0).sum(axis=0))
-
-
-def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.DataFrame, dsm: Dsm) -> FlightPanel:
-    """Lay out the exchanger's conductance ratio of each row of `flights` (in order), corrected, and its log."""
-    ratio = flights["ln_ua_ratio"].to_numpy().astype(float) - faults.shift
-    sampling = flights["ln_ua_ratio_sd"].to_numpy().astype(float)
-    variance = np.where(np.isfinite(ratio), np.nan_to_num(sampling) ** 2 + dsm.flight_sd**2 + faults.variance, 1.0)
-    exposure = np.nan_to_num(flights["ua_expected_w_k"].to_numpy().astype(float) / dsm.reference_ua_w_k, nan=1.0)
-    return lay_out(flights, (ratio, variance, exposure), maintenance, "HX")
 
 
 def lay_out(

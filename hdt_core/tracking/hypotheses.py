@@ -77,15 +77,18 @@ class Hypotheses(NamedTuple):
 
 
 class Branching(NamedTuple):
-    """Branches of one flight and the rows they were merged into, for the smoother.
+    """Branches of one flight that were kept, for the smoother.
 
-    prior (m, ...) each branch before the flight's update, new_row (m,) the row it was merged into, -1 where it was
-    dropped, weight (m,) its probability.
+    mean (m, 5), cov (m, 5, 5) each branch before the flight's update, parent (m,) the row it comes from, child (m,) the
+    row it was merged into, weight (m,) its probability, gain (m, 5, 5) of the smoother.
     """
 
-    prior: Hypotheses
-    new_row: Array
+    mean: Array
+    cov: Array
+    parent: Array
+    child: Array
     weight: Array
+    gain: Array
 
 
 def start(settings: Settings) -> Hypotheses:

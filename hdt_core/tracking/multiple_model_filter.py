@@ -28,7 +28,16 @@ from hdt_core.tracking.hypotheses import (
     normalise,
     prune,
 )
-from hdt_core.tracking.wear_model import WEAR, Observation, Settings, at_reference, innovation, predict, update
+from hdt_core.tracking.wear_model import (
+    WEAR,
+    Observation,
+    Settings,
+    at_reference,
+    innovation,
+    predict,
+    transition,
+    update,
+)
 
 SURPRISE = 2.0
 """Standard deviations at which a flight branches the hypotheses."""
@@ -58,13 +67,24 @@ def step(hypotheses: Hypotheses, flight: Observation, settings: Settings) -> tup
     log_weight = branches.log_weight + evidence
     posterior = normalise(branches._replace(mean=belief.mean, cov=belief.cov, log_weight=log_weight))
     survivors, new_row = prune(posterior, settings.offset_bin)
-    return survivors, Branching(branches, new_row, np.exp(posterior.log_weight))
+    return survivors, _branching(hypotheses, branches, np.exp(posterior.log_weight), new_row)
 
 
-def wear_summary(hypotheses: Hypotheses, n: int) -> tuple[Array, Array]:
-    """Compute mean and sd of ln loss over the hypotheses of n packs, truncated below 0. (n,) each"""
+def _branching(parents: Hypotheses, branches: Hypotheses, weight: Array, new_row: Array) -> Branching:
+    """Collect what the smoother needs of the branches that were not dropped."""
+    live = np.flatnonzero(new_row >= 0)
+    branch = branches.at(live)
+    move = branch.retention[:, :, None] * transition(parents.faulty[branch.parent])
+    gain = np.linalg.solve(branch.cov, move @ parents.cov[branch.parent]).mT
+    return Branching(branch.mean, branch.cov, branch.parent, new_row[live], weight[live], gain)
+
+
+def wear_summary(hypotheses: Hypotheses, n: int, *, truncated: bool = True) -> tuple[Array, Array]:
+    """Compute mean and sd of ln loss over the hypotheses of n packs; `truncated` below 0 or not. (n,) each"""
     weight = np.exp(hypotheses.log_weight)
-    mean, variance = _above_zero(hypotheses.mean[:, WEAR], np.sqrt(hypotheses.cov[:, WEAR, WEAR]))
+    mean, variance = hypotheses.mean[:, WEAR], hypotheses.cov[:, WEAR, WEAR]
+    if truncated:
+        mean, variance = _above_zero(mean, np.sqrt(variance))
     middle = np.bincount(hypotheses.pack, weight * mean, n)
     variance_of_all = np.bincount(hypotheses.pack, weight * (variance + (mean - middle[hypotheses.pack]) ** 2), n)
     return middle, np.sqrt(variance_of_all)

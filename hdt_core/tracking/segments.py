@@ -13,7 +13,7 @@ from hdt_core.calibration.arrays import Array
 from hdt_core.tracking.flight_panel import FlightPanel
 from hdt_core.tracking.hypotheses import Branching, Hypotheses, join, start
 from hdt_core.tracking.multiple_model_filter import step, wear_summary
-from hdt_core.tracking.wear_model import WEAR, Settings, transition
+from hdt_core.tracking.wear_model import WEAR, Settings
 
 SEGMENT_FLIGHTS = 50
 """Flights in a segment. Smoothing over the 50 to 100 flights ahead is as good as over all 200 (rms error 0.0322 both,
@@ -26,7 +26,9 @@ Checkpoints = Mapping[tuple[int, int], Hypotheses]
 LEAST_SD, LEAST_WEIGHT = 1e-4, 1e-300
 
 
-def smooth(filtered: Sequence[Hypotheses], branchings: Sequence[Branching]) -> list[tuple[Array, Array]]:
+def smooth(
+    filtered: Sequence[Hypotheses], branchings: Sequence[Branching], *, truncated: bool = True
+) -> list[tuple[Array, Array]]:
     r"""Smooth: mean and sd of ln loss at each flight, from all flights, (packs,) each, of packs that still fly.
 
     Parameters
@@ -34,6 +36,8 @@ def smooth(filtered: Sequence[Hypotheses], branchings: Sequence[Branching]) -> l
     filtered, branchings : sequence
         Hypotheses after each flight, and how the flight branched them: of `multiple_model_filter.step`. Packs drop out
         from the last.
+    truncated : bool
+        Of `Settings`.
 
     Notes
     -----
@@ -43,26 +47,22 @@ def smooth(filtered: Sequence[Hypotheses], branchings: Sequence[Branching]) -> l
     .. math:: x_{k|N} = x_{k|k} + P_{k|k} (D F)^T P_{k+1|k}^{-1} (x_{k+1|N} - x_{k+1|k})
     """
     smoothed = filtered[-1]
-    summaries = [wear_summary(smoothed, smoothed.n_packs)]
+    summaries = [wear_summary(smoothed, smoothed.n_packs, truncated=truncated)]
     for earlier, branching in zip(filtered[-2::-1], branchings[:0:-1], strict=True):
         continuing = earlier.of_first(smoothed.n_packs)
         ends_here = earlier.at(np.arange(len(continuing.pack), len(earlier.pack)))
         smoothed = join([_smooth_back(continuing, branching, smoothed), ends_here])
-        summaries.append(wear_summary(smoothed, smoothed.n_packs))
+        summaries.append(wear_summary(smoothed, smoothed.n_packs, truncated=truncated))
     return summaries[::-1]
 
 
 def _smooth_back(earlier: Hypotheses, branching: Branching, later: Hypotheses) -> Hypotheses:
     """Smooth `earlier` by `later`, one flight after it."""
-    live = np.flatnonzero(branching.new_row >= 0)
-    branch, child, branch_weight = branching.prior.at(live), branching.new_row[live], branching.weight[live]
-    weight = np.exp(later.log_weight)[child] * branch_weight / np.bincount(child, branch_weight)[child]
-    parents = earlier.at(branch.parent)
-    move = branch.retention[:, :, None] * transition(parents.faulty)
-    gain = np.swapaxes(np.linalg.solve(branch.cov, move @ parents.cov), 1, 2)
-    mean = parents.mean + (gain @ (later.mean[child] - branch.mean)[:, :, None])[:, :, 0]
-    cov = parents.cov + gain @ (later.cov[child] - branch.cov) @ np.swapaxes(gain, 1, 2)
-    return _merge_branches(earlier, branch.parent, weight, mean, cov)
+    parent, child, gain = branching.parent, branching.child, branching.gain
+    weight = np.exp(later.log_weight)[child] * branching.weight / np.bincount(child, branching.weight)[child]
+    mean = earlier.mean[parent] + (gain @ (later.mean[child] - branching.mean)[:, :, None])[:, :, 0]
+    cov = earlier.cov[parent] + gain @ (later.cov[child] - branching.cov) @ gain.mT
+    return _merge_branches(earlier, parent, weight, mean, cov)
 
 
 def _merge_branches(earlier: Hypotheses, parent: Array, weight: Array, mean: Array, cov: Array) -> Hypotheses:
@@ -85,15 +85,13 @@ class SegmentResult(NamedTuple):
     checkpoints: dict[tuple[int, int], Hypotheses]
 
 
-def filter_segments(
-    panel: FlightPanel, settings: Settings, begin: Array, checkpoints: Checkpoints, *, smoothed: bool = True
-) -> SegmentResult:
+def filter_segments(panel: FlightPanel, settings: Settings, begin: Array, checkpoints: Checkpoints) -> SegmentResult:
     """Filter and smooth each pack from segment `begin` (packs,) on; from its checkpoint where that is not the first."""
     result = SegmentResult(np.full((4, panel.n_rows), np.nan), {})
     remaining = panel.flights - begin * SEGMENT_FLIGHTS
     packs = np.argsort(-remaining, kind="stable")
     for i in range(0, len(packs), SIDE_BY_SIDE):
-        _filter_packs(panel, settings, packs[i : i + SIDE_BY_SIDE], begin, checkpoints, result, smoothed=smoothed)
+        _filter_packs(panel, settings, packs[i : i + SIDE_BY_SIDE], begin, checkpoints, result)
     return result
 
 
@@ -104,8 +102,6 @@ def _filter_packs(
     begin: Array,
     checkpoints: Checkpoints,
     result: SegmentResult,
-    *,
-    smoothed: bool,
 ) -> None:
     """Filter and smooth some packs side by side, those with most flights left first; a pack without any drops out."""
     first, remaining = begin[packs] * SEGMENT_FLIGHTS, panel.flights[packs] - begin[packs] * SEGMENT_FLIGHTS
@@ -119,11 +115,13 @@ def _filter_packs(
             result.checkpoints.update({(int(packs[i]), int(segment[i])): hypotheses.of(i) for i in range(n_packs)})
         cell = (first[:n_packs] + k, packs[:n_packs])
         hypotheses, branching = step(hypotheses, panel.observations.of(cell), settings)
-        steps += [(hypotheses, branching)] if smoothed else []
-        result.tracks[:2, panel.row[cell]] = wear_summary(hypotheses, n_packs)
-        if smoothed and ((k + 1) % SEGMENT_FLIGHTS == 0 or k + 1 == remaining[0]):
+        steps.append((hypotheses, branching))
+        result.tracks[:2, panel.row[cell]] = wear_summary(hypotheses, n_packs, truncated=settings.truncated)
+        is_followed = k < SEGMENT_FLIGHTS and remaining[-1] > SEGMENT_FLIGHTS  # then the next segment's window is final
+        if k + 1 == remaining[0] or ((k + 1) % SEGMENT_FLIGHTS == 0 and not is_followed):
             window = steps[-(SEGMENT_FLIGHTS + k % SEGMENT_FLIGHTS + 1) :]
-            for flight, (level, sd) in enumerate(smooth(*zip(*window, strict=True)), k + 1 - len(window)):
+            smoothed = smooth(*zip(*window, strict=True), truncated=settings.truncated)
+            for flight, (level, sd) in enumerate(smoothed, k + 1 - len(window)):
                 result.tracks[2:, panel.row[first[: len(level)] + flight, packs[: len(level)]]] = level, sd
             steps = window
 

@@ -1,30 +1,16 @@
 """Track health flight by flight: each flight's estimate, filtered along each pack, with standard deviations."""
 
-from typing import NamedTuple
-
 import numpy as np
 import polars as pl
 
-from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.records.keys import IN_ORDER, LEG_AT, PACK
-from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
-from hdt_core.tracking.compressor_tracking import compressor_parameters
-from hdt_core.tracking.flight_panel import FILTERED, build_panel, fingerprints, health_rows
+from hdt_core.components.exchanger import HX
+from hdt_core.records.keys import IN_ORDER, PACK
+from hdt_core.tracking.compressor_tracking import effective_diameter, track_compressor
+from hdt_core.tracking.loss_filter import Loss, TrackResult, track_loss
 from hdt_core.tracking.lumped_coefficients import lumped_coefficients
-from hdt_core.tracking.segments import SEGMENT_FLIGHTS, filter_segments
 from hdt_core.tracking.sensor_shifts import Corrections, corrections
 from hdt_core.tracking.wear_model import Settings
-
-SMOOTHED = "kalman_smoothed"
-LOSS, LOSS_SMOOTHED = "hx_fouling", "hx_fouling_smoothed"
-
-
-class TrackResult(NamedTuple):
-    """Health parameters, table `twin_health`, and the checkpoints from which the next night goes on."""
-
-    health: pl.DataFrame
-    checkpoints: pl.DataFrame
 
 
 def track(
@@ -46,10 +32,12 @@ def track(
     seal : str
         Further inputs of the track, the version of the code; results under another are not used.
     """
-    flights = twin_flights.sort(IN_ORDER)
-    health, checkpoints = _exchanger(flights, maintenance, dsm, previous, f"{seal}|{dsm.dsm_version}")
-    rows = [health, lumped_coefficients(flights), compressor_parameters(flights, maintenance, dsm)]
+    flights, seal = twin_flights.sort(IN_ORDER), f"{seal}|{dsm.dsm_version}"
+    exchanger = track_loss(flights, maintenance, exchanger_loss(flights, corrections(flights), dsm), previous, seal)
+    losses = [exchanger, *track_compressor(flights, maintenance, dsm, previous, seal)]
+    rows = [*(loss.health for loss in losses), lumped_coefficients(flights), effective_diameter(flights)]
     valid = _null_invalid(pl.concat(rows))
+    checkpoints = pl.concat(loss.checkpoints for loss in losses)
     return TrackResult(valid.sort(*PACK, "departed_at", "flight_id", "component", "parameter"), checkpoints)
 
 
@@ -61,48 +49,19 @@ def _null_invalid(rows: pl.DataFrame) -> pl.DataFrame:
     return rows.with_columns(pl.when(~is_invalid).then(value), pl.when(~is_invalid).then(sd), status)
 
 
-def _exchanger(
-    flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, previous: TrackResult | None, seal: str
-) -> TrackResult:
-    faults = corrections(flights)
-    map_sd = np.nan_to_num(flights["ln_ua_ratio_map_sd"].to_numpy().astype(float))
-    panel = build_panel(flights, faults, maintenance, dsm)
-    names = flights.select(pl.concat_str("flight_id", "status", separator="="))[:, 0].to_list()
-    digests = fingerprints(panel, [map_sd, faults.variance, faults.fault], names, seal, SEGMENT_FLIGHTS)
-    packs = flights.select(PACK).unique(maintain_order=True)
-    restart = (
-        from_first_flight(packs.height) if previous is None else read_checkpoints(previous.checkpoints, packs, digests)
+def exchanger_loss(flights: pl.DataFrame, faults: Corrections, dsm: Dsm) -> Loss:
+    """Build the exchanger's loss from the conductance ratio of each row of `flights` (in order), corrected."""
+    ratio = flights["ln_ua_ratio"].to_numpy().astype(float) - faults.shift
+    sampling, map_sd = (
+        np.nan_to_num(flights[name].to_numpy().astype(float)) for name in ("ln_ua_ratio_sd", "ln_ua_ratio_map_sd")
     )
-    settings = Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
-    result = filter_segments(panel, settings, restart.begin, restart.checkpoints)
-    is_new = pl.Series(np.isfinite(result.tracks[0]))
-    tracks = ((LOSS, FILTERED, result.tracks[:2]), (LOSS_SMOOTHED, SMOOTHED, result.tracks[2:]))
-    health = pl.concat(
-        _rows(flights, name, estimator, track[0], track[1], map_sd, faults).filter(is_new)
-        for name, estimator, track in tracks
-    )
-    if previous is not None and not is_new.all():
-        old_rows = previous.health.filter(pl.col("parameter").is_in([LOSS, LOSS_SMOOTHED])).select(health.columns)
-        old_rows = old_rows.join(flights.filter(~is_new).select(LEG_AT), on=LEG_AT, how="semi")
-        if old_rows.height != len(tracks) * (~is_new).sum():  # rows before the checkpoints have been removed
-            return _exchanger(flights, maintenance, dsm, None, seal)
-        health = pl.concat([old_rows, health])
-    return TrackResult(health, checkpoint_rows(packs, digests, restart, result.checkpoints))
-
-
-def _rows(
-    flights: pl.DataFrame, name: str, estimator: str, level: Array, sd: Array, map_sd: Array, faults: Corrections
-) -> pl.DataFrame:
-    value, value_sd = loss_of(level, np.sqrt(sd**2 + map_sd**2 + faults.variance))
+    variance = np.where(np.isfinite(ratio), sampling**2 + dsm.flight_sd**2 + faults.variance, 1.0)
+    exposure = np.nan_to_num(flights["ua_expected_w_k"].to_numpy().astype(float) / dsm.reference_ua_w_k, nan=1.0)
     status = (
         pl.when(pl.col("ln_ua_ratio").is_null()).then(pl.lit("predicted"))
         .when(pl.Series(faults.fault)).then(pl.lit("sensor_corrected"))
         .otherwise("status")
     )  # fmt: skip
-    return health_rows(flights, ("HX", name, "-", estimator), value, value_sd, status)
-
-
-def loss_of(level: Array, sd: Array) -> tuple[Array, Array]:
-    """Convert ln loss and its sd to a loss and its sd."""
-    ratio = np.exp(-level)
-    return 1.0 - ratio, ratio * sd
+    settings = Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
+    observations, more_variance = (ratio, variance, exposure), (map_sd**2, faults.variance)
+    return Loss(HX, HX.model.param(HX.loss), 1.0, settings, observations, status, more_variance)

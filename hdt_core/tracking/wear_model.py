@@ -56,7 +56,8 @@ class Settings(NamedTuple):
     """Settings of the filter: clean level of the digital system model (see `Dsm`), spread and wear of the units.
 
     `clog` is the ln loss of a sudden clog and its spread, `fault_chance` the chance of a fault of door or sensor on a
-    flight. Hypotheses whose sensors' offsets differ by more than `offset_bin` are not merged.
+    flight. Hypotheses whose sensors' offsets differ by more than `offset_bin` are not merged. `truncated`: a loss below
+    0 is impossible, and the estimate is the mean above it.
     """
 
     level: float
@@ -69,6 +70,7 @@ class Settings(NamedTuple):
     fault_chance: float = FAULT_CHANCE
     offset_bin: float = np.inf
     entries: tuple[EntryWear, ...] = ENTRY
+    truncated: bool = True
 
     @property
     def sensors_sd(self) -> float:

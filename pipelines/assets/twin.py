@@ -7,7 +7,8 @@ import polars as pl
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.health.residuals import residuals as compare
-from hdt_core.tracking.track import TrackResult, track
+from hdt_core.tracking.loss_filter import TrackResult
+from hdt_core.tracking.track import track
 from pipelines.assets.stage import stage
 from pipelines.lineage import LINEAGE
 from pipelines.partitions import PartitionScope

@@ -1,6 +1,6 @@
 -- How is each pack now, after each flight?
--- A row uses its flight and those before it. One parameter does not: hx_fouling_smoothed also knows the 50 to 100
--- flights after, changes while they come in, and is for looking back; decide by hx_fouling.
+-- A row uses its flight and those before it. Parameters that end in _smoothed do not: they also know the 50 to 100
+-- flights after, change while they come in, and are for looking back; decide by those without.
 -- is_observed: the flight moved the estimate; else it is what the flights before say, the prior, or nothing
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
 -- Grain: flight, pack, parameter. Reads: tables.twin_health, tables.twin_components.

@@ -4,26 +4,27 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.dsm import Dsm
+from hdt_core.components.exchanger import HX
 from hdt_core.tracking import multiple_model_filter as mmf
-from hdt_core.tracking.flight_panel import FILTERED, build_panel
+from hdt_core.tracking.flight_panel import lay_out
 from hdt_core.tracking.hypotheses import start
+from hdt_core.tracking.loss_filter import loss_rows, track_loss
 from hdt_core.tracking.sensor_shifts import corrections
-from hdt_core.tracking.track import LOSS, _exchanger, _rows
-from hdt_core.tracking.wear_model import Settings
+from hdt_core.tracking.track import exchanger_loss
 
 
 def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, literal: bool = False) -> pl.DataFrame:
     """`hx_fouling` of every row of `flights` (in order), and smoothed; `literal` does not smooth."""
+    loss = exchanger_loss(flights, corrections(flights), dsm)
     if not literal:
-        return _exchanger(flights, maintenance, dsm, None, "")[0]
-    faults, settings = corrections(flights), Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
-    map_sd = np.nan_to_num(flights["ln_ua_ratio_map_sd"].to_numpy().astype(float))
-    panel = build_panel(flights, faults, maintenance, dsm)
+        return track_loss(flights, maintenance, loss).health
+    panel = lay_out(flights, loss.observations, maintenance, HX.code)
     level, sd = np.empty(panel.n_rows), np.empty(panel.n_rows)
     for pack in range(panel.row.shape[1]):
-        hypotheses = start(settings)
+        hypotheses = start(loss.settings)
         for k, row in enumerate(panel.row[:, pack]):
             if row >= 0:
-                hypotheses, _ = mmf.step(hypotheses, panel.observations.of((np.array([k]), np.array([pack]))), settings)
+                cell = (np.array([k]), np.array([pack]))
+                hypotheses, _ = mmf.step(hypotheses, panel.observations.of(cell), loss.settings)
                 (level[row],), (sd[row],) = mmf.wear_summary(hypotheses, 1)
-    return _rows(flights, LOSS, FILTERED, level, sd, map_sd, faults)
+    return loss_rows(flights, loss, HX.loss, level, sd)

@@ -56,6 +56,11 @@ def flights(samples) -> pl.DataFrame:
 
 def tracked(flights: pl.DataFrame) -> pl.DataFrame:
     """The track of an exchanger whose design is the one it is judged by, but for its sensors."""
+    return both_tracks(flights).filter(parameter="hx_fouling")
+
+
+def both_tracks(flights: pl.DataFrame) -> pl.DataFrame:
+    """The track, and the smoothed one."""
     return track_component(flights, replace(HX, model=BUILT), log(), DesignOffset(0.0, 0.0))
 
 
@@ -81,6 +86,16 @@ def test_filtering_steadies_and_looks_at_nothing_to_come(flights):
     # the scatter of flights is learned from all that were given; the path itself is causal
     np.testing.assert_allclose(early["value"], track["value"][:60], atol=5e-3)
     assert track["sd"].max() < 0.05
+
+
+def test_a_smoothed_loss_stands_beside_and_lies_nearer(flights):
+    smoothed = both_tracks(flights).filter(parameter="hx_fouling_smoothed")
+    assert smoothed.select("estimator", "status").unique().rows() == [("kalman_smoothed", "ok")]
+    filtered = tracked(flights)
+    assert smoothed["flight_id"].equals(filtered["flight_id"])
+    far, near = (np.abs(f["value"].to_numpy() - LOSS).mean() for f in (filtered, smoothed))
+    assert near < 0.8 * far
+    assert smoothed["value"][-1] == pytest.approx(filtered["value"][-1])
 
 
 def test_a_flight_without_an_answer_is_predicted(flights):

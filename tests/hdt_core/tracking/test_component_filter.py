@@ -10,7 +10,7 @@ from by_hand import flights, log
 
 from hdt_core.components import Component, Limit, Reading, components
 from hdt_core.physics.model import Param, PhysicsModel, Signal
-from hdt_core.tracking.component import DesignOffset, _scatter, design_prior, track_component, wear_of, wear_settings
+from hdt_core.tracking.component import DesignOffset, design_prior, scatter_sd, track_component, wear_of, wear_settings
 from hdt_core.tracking.component_readings import component_readings
 
 VALVE = PhysicsModel(
@@ -47,14 +47,16 @@ def test_wear_is_brought_to_the_exchangers_by_the_loss_and_life_at_which_it_fail
 def test_flights_scatter_as_the_steps_of_their_pack_show(n, scatter):
     """From eight steps on, less what a flight is unsure of itself."""
     values = np.tile([0.0, 0.03], n)[:n]
-    np.testing.assert_allclose(_scatter(flights(n), values, np.full(n, 0.01)), scatter)
+    assert scatter_sd(values, np.full(n, 0.01**2)) == pytest.approx(scatter)
+    assert scatter_sd(np.insert(values, 3, np.nan), np.full(n + 1, 0.01**2)) == pytest.approx(scatter)
 
 
 def test_a_flight_that_says_nothing_is_predicted():
     status = pl.Series(["converged", "diverged", "not_identifiable", "converged"])
     rows = flights(4, valve_loss=[0.01, 0.7, 0.7, 0.02], valve_loss_sd=0.01).with_columns(status=status)
     health = track_component(rows, COMPONENT, log())
-    assert health["status"].to_list() == ["ok", "predicted", "predicted", "ok"]
+    for _, track in health.group_by("parameter"):
+        assert track["status"].to_list() == ["ok", "predicted", "predicted", "ok"]
     assert health["value"].max() < 0.1
 
 

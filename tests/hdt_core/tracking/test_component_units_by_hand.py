@@ -187,6 +187,7 @@ def test_packs_come_as_the_design_names_them_and_rest_on_its_prior_where_no_flig
 
 
 PACKS = pl.DataFrame({"operator": ["TST"] * 2, "tail": ["A", "B"], "pack": [1, 1]}).cast({"pack": pl.Int32})
+PACKS = PACKS.with_columns(component=pl.lit("PMP"), parameter=pl.lit("pmp_loss"))
 IDS = [["a0", "a1", "a2", "a3"], ["b0", "b1"]]
 
 
@@ -203,6 +204,8 @@ def test_a_night_goes_on_one_segment_before_the_last_that_stands(segments, now, 
     state = start(Settings(0.0, 0.01, 0.05))
     stored = checkpoint_rows(PACKS, IDS, from_first_flight(2), {(0, c): state for c in [0, *segments]})
     assert stored["chapter"].unique().sort().to_list() == segments
+    others = read_checkpoints(stored, PACKS.with_columns(parameter=pl.lit("pmp_leak")), now)
+    assert (others.begin.tolist(), others.valid.height) == ([0, 0], 0)
     result = read_checkpoints(stored, PACKS, now)
     assert result.begin.tolist() == begin
     assert list(result.checkpoints) == ([(0, begin[0])] if begin[0] else [])

@@ -1,38 +1,96 @@
-"""Compressor health: the filter by matrices, its numbers written out; renewals, gaps and what was not recorded."""
+"""Compressor health: a first flight by hand, recovery of a known loss, renewals, gaps and what was not recorded."""
+
+from itertools import product
 
 import numpy as np
 import polars as pl
 import pytest
 from by_hand import DSM, flights, log
+from scipy.stats import norm
 
-from hdt_core.tracking.compressor_tracking import compressor_parameters, filter_loss
+from hdt_core.tracking.compressor_tracking import _scatter, effective_diameter
+from hdt_core.tracking.compressor_tracking import track_compressor as tracked
 
-LOSSES = {"cc_efficiency_loss": (np.hypot(0.008, 0.01), 0.006), "cc_diameter_loss": (0.04, 0.02)}
-"""Spread of a pack's level, of unit and of what the model was built from; scatter of a flight."""
+LOSSES = {"cc_efficiency_loss": (0.25, 0.008, 0.01, 0.006), "cc_diameter_loss": (1.0 - 0.75**0.5, 0.04, 0.0, 0.02)}
+"""Loss at failure, spread of machines, error of the fleet's level, scatter of a flight."""
+PACES = [(0.45, 1.5e-4, 2e-4), (0.45, 1e-3, 8e-4), (0.10, 6e-3, 4e-3)]
+ENTRY = [(0.85, 0.0033, 0.025), (0.15, 0.083, 0.05)]
 
 
-def by_matrices(observed: list[float], renewed: list[int], level_sd: float, scatter: float) -> np.ndarray:
-    """Kalman's filter of level and loss, seen as their sum; a residual beyond three deviations counts for less."""
-    x, p, result = np.array([0.0, 0.005]), np.diag([level_sd**2, 0.015**2]), []
-    h = np.ones(2)
-    for value, new in zip(observed, renewed, strict=True):
-        if new:
-            x, p = np.array([0.0, 0.003]), np.diag([level_sd**2, 0.005**2])
-        p = p + np.diag([0.0, 0.001**2])
-        if np.isfinite(value):
-            s = h @ p @ h + scatter**2
-            far = abs(value - h @ x) / (3.0 * np.sqrt(s))
-            s *= max(1.0, far) ** 2
-            gain = p @ h / s
-            x, p = x + gain * (value - h @ x), p - np.outer(gain, h @ p)
-        seen_before = np.isfinite(value) or (result and np.isfinite(result[-1][0]))
-        ratio = np.exp(-x[1])
-        result.append((1.0 - ratio, ratio * np.sqrt(p[1, 1])) if seen_before else (np.nan, np.nan))
-    return np.array(result)
+def track(twin: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+    return pl.concat(result.health for result in tracked(twin, maintenance, DSM))
 
 
 def parameter(rows: pl.DataFrame, name: str) -> pl.DataFrame:
-    return rows.filter(pl.col("parameter") == name).sort("tail", "departed_at")
+    return rows.filter(pl.col("parameter") == name).sort("tail", "pack", "departed_at")
+
+
+def machines(loss: np.ndarray, **columns: object) -> pl.DataFrame:
+    """A flight a day of a machine whose efficiency and effective diameter are lower by this much."""
+    efficiency, diameter = 0.8 * (1.0 - loss), 0.17 * (1.0 - loss)
+    readings = {"efficiency": efficiency.tolist(), "diameter_m": diameter.tolist(), "expected_diameter_m": 0.17}
+    return flights(len(loss), **({"cc_n_samples": 9} | readings | columns))
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_a_first_flight_weighs_every_pace_and_every_wear_at_entry(name):
+    """In units where failure is the exchanger's, 38 % lost; lives are five times the exchanger's."""
+    failure, unit_sd, level_sd, scatter = LOSSES[name]
+    size = np.log(1.0 - failure) / np.log(0.62)
+    offsets = (unit_sd / size) ** 2 + 0.015**2 + (level_sd / size) ** 2
+    rows = []
+    for (share, rate, rate_sd), (part, wear, wear_sd) in product(PACES, ENTRY):
+        mean, variance = wear + rate / 5.0, wear_sd**2 + (rate_sd / 5.0) ** 2 + (0.001 / size) ** 2
+        residual = -np.log(1.0 - 0.008) / size - mean
+        s = variance + offsets + 0.005**2 + (scatter / size) ** 2
+        sound, odd = 0.99 * norm.pdf(residual, 0.0, s**0.5), 0.01 * norm.pdf(residual, 0.0, (s + 0.3**2) ** 0.5)
+        use, shift = sound / (sound + odd), variance / s * residual
+        spread = variance - use * variance**2 / s + use * (1.0 - use) * shift**2
+        rows.append((share * part * (sound + odd), mean + use * shift, spread))
+    weight, mean, variance = np.array(rows).T
+    weight /= weight.sum()
+    middle = weight @ mean
+    sd = np.sqrt(weight @ (variance + (mean - middle) ** 2))
+    row = parameter(track(machines(np.array([0.008])), log()), name).row(0, named=True)
+    left = np.exp(-size * middle)
+    assert row["value"] == pytest.approx(1.0 - left, rel=1e-6)
+    assert row["sd"] == pytest.approx(left * size * sd, rel=1e-6)
+    assert (row["component"], row["unit"], row["estimator"]) == ("CC", "-", "kalman_filtered")
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_a_known_loss_is_found_and_a_new_machine_has_none(name):
+    """Of ten per cent over a hundred flights; the log names another machine then."""
+    truth = np.r_[np.zeros(40), np.linspace(0.0, 0.1, 100), np.zeros(60)]
+    rng = np.random.default_rng(5)
+    noisy = 1.0 - (1.0 - truth) * np.exp(LOSSES[name][-1] * rng.standard_normal(200))
+    rows = track(machines(noisy), log(("T-1", 1, "CC", "REPLACED", 139)))
+    filtered, smoothed = parameter(rows, name), parameter(rows, f"{name}_smoothed")
+    error = filtered["value"].to_numpy() - truth
+    assert np.abs(error[[39, 139, 199]]).max() < 0.02
+    assert (np.abs(error) < 1.645 * filtered["sd"].to_numpy()).mean() > 0.9
+    rough, smooth = (np.diff(rows["value"].to_numpy() - truth)[:138].std() for rows in (filtered, smoothed))
+    assert smooth < 0.5 * rough
+    assert smoothed["estimator"].unique().to_list() == ["kalman_smoothed"]
+    assert abs(filtered["value"][140]) < 0.02
+
+
+def test_no_later_flight_changes_a_filtered_loss():
+    rng = np.random.default_rng(6)
+    loss = np.linspace(0.0, 0.05, 120) + 0.006 * rng.standard_normal(120)
+    for end in (30, 50, 70, 101):
+        early, whole = (track(machines(values), log()) for values in (loss[:end], loss))
+        for name in LOSSES:
+            assert parameter(early, name).equals(parameter(whole, name).head(end))
+
+
+def test_flights_weigh_what_the_segments_before_their_own_scatter():
+    """The usual scatter for fifty flights, then that of all steps before the segment: none of its own or later."""
+    ratio = np.r_[np.tile([0.0, 0.02], 25), np.tile([0.0, 0.06], 35)]
+    ratio[1:40:3] = np.nan
+    scatter = _scatter(flights(120), ratio, 0.006)
+    expected = [[0.006], [1.4826 * 0.02 / 2**0.5], [1.4826 * 0.06 / 2**0.5]]
+    np.testing.assert_allclose(scatter, np.repeat(np.ravel(expected), [50, 50, 20]), rtol=1e-4)
 
 
 @pytest.fixture
@@ -48,36 +106,34 @@ def machine() -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-def test_a_loss_is_filtered_as_by_matrices(machine, loss):
-    wear = [np.nan, 0.01, 0.012, 0.2, 0.013, np.nan, 0.02, 0.022, 0.025, 0.03, -0.01, 0.0]
-    expected = by_matrices(wear, [0] * 10 + [1, 0], *LOSSES[loss])
-    rows = parameter(compressor_parameters(machine, log(("T-1", 1, "CC", "REPLACED", 9)), DSM), loss)
-    np.testing.assert_allclose(rows.select("value", "sd").to_numpy().astype(float), expected, rtol=1e-9)
-    assert rows["status"].to_list() == ["not_recorded", *["ok"] * 4, "predicted", *["ok"] * 6]
-    assert rows.select("component", "unit", "estimator").unique().rows() == [("CC", "-", "kalman_filtered")]
+def test_a_loss_begins_with_the_first_flight_that_shows_it(machine, loss):
+    rows = track(machine, log(("T-1", 1, "CC", "REPLACED", 9)))
+    filtered = parameter(rows, loss)
+    assert filtered["status"].to_list() == ["not_recorded", *["ok"] * 4, "predicted", *["ok"] * 6]
+    assert filtered["value"].null_count() == filtered["sd"].null_count() == 1
+    assert parameter(rows, f"{loss}_smoothed").height == 11
+    assert filtered["value"][3] < 0.03  # a flight far off is more likely a bad flight than a bad machine
 
 
 def test_each_pack_is_filtered_by_itself(machine):
     two = pl.concat([machine, machine.with_columns(pack=pl.lit(2, pl.Int32))])
-    wear = np.tile(np.linspace(0.0, 0.1, 12), 2)
-    loss, sd = filter_loss(two, wear, np.zeros(24), 0.006, 0.01, 0.001)
-    assert loss[:12].equals(loss[12:])
-    assert sd[:12].equals(sd[12:])
-    assert filter_loss(two.clear(), np.zeros(0), np.zeros(0), 0.006, 0.01, 0.001)[0].is_empty()
+    both, alone = track(two, log()), track(machine, log())
+    assert both.height == 2 * alone.height
+    for name in LOSSES:
+        assert parameter(both.filter(pack=2), name).drop("pack").equals(parameter(alone, name).drop("pack"))
+    assert track(two.clear(), log()).is_empty()
 
 
 def test_an_exchangers_replacement_is_no_compressors(machine):
-    with_log, without = (
-        compressor_parameters(machine, entries, DSM) for entries in (log(("T-1", 1, "HX", "REPLACED", 9)), log())
-    )
+    with_log, without = (track(machine, entries) for entries in (log(("T-1", 1, "HX", "REPLACED", 9)), log()))
     assert with_log.equals(without)
 
 
 def test_a_reading_that_no_machine_gives_is_none(machine):
     odd = machine.with_columns(pl.when(pl.int_range(12) == 4).then(-1.0).otherwise("efficiency").alias("efficiency"))
     blank = odd.with_columns(pl.when(pl.col("efficiency") > 0).then("efficiency").alias("efficiency"))
-    assert compressor_parameters(odd, log(), DSM).equals(compressor_parameters(blank, log(), DSM))
-    never = compressor_parameters(machine.with_columns(efficiency=pl.lit(None, pl.Float64)), log(), DSM)
+    assert track(odd, log()).equals(track(blank, log()))
+    never = track(machine.with_columns(efficiency=pl.lit(None, pl.Float64)), log())
     rows = parameter(never, "cc_efficiency_loss")
     assert rows["status"].unique().to_list() == ["not_recorded"]
     assert rows["value"].null_count() == rows["sd"].null_count() == 12
@@ -86,7 +142,7 @@ def test_a_reading_that_no_machine_gives_is_none(machine):
 def test_diameter_is_the_flights_own_and_more_samples_are_surer():
     """A quarter of a per cent by the probes, and the error of a median of so many samples of 0.3 %."""
     twin = flights(3, efficiency=0.8, diameter_m=0.16, expected_diameter_m=0.17, cc_n_samples=[0, 1, 30])
-    rows = parameter(compressor_parameters(twin, log(), DSM), "cc_effective_diameter_m")
+    rows = effective_diameter(twin)
     assert rows["value"].to_list() == [0.16] * 3
     noise = 0.003 * 1.2533 / np.sqrt([1.0, 1.0, 30.0])
     np.testing.assert_allclose(rows["sd"], 0.16 * np.hypot(0.0025, noise), rtol=1e-9)

@@ -9,13 +9,11 @@ import pytest
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.components.compressor import CC
 from hdt_core.components.exchanger import HX
-from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares
+from hdt_core.estimation import NonlinearLeastSquares
 from hdt_core.estimation.declared import declared_problem
-from hdt_core.estimation.problem import Belief, Problem
+from hdt_core.estimation.problem import Problem
 from hdt_core.robust import huber_weights
-from hdt_core.tracking import compressor_tracking
 from hdt_core.tracking.wear_model import PACES
 
 LEG = ["tail", "pack", "flight_id"]
@@ -84,29 +82,6 @@ def test_the_robust_form_lies_within_a_tenth_of_its_stated_deviation(legs, model
     apart = (rows["ln_ua_ratio"] - rows["literal"]).abs() / rows["ln_ua_ratio_sd"]
     assert rows.height == N_LEGS
     assert apart.max() < 0.1
-
-
-@pytest.mark.parametrize("loss", ["cc_efficiency_loss", "cc_diameter_loss"])
-def test_the_compressors_filter_is_the_kalman_filter_of_the_declared_drift(loss):
-    """Level and loss seen as their sum; no flight lies so far off that the filter would count it for less."""
-    rng = np.random.default_rng(3)
-    drift, scatter, level_sd = CC.model.param(loss).drift, 0.006, 0.01
-    observed = 0.004 + np.linspace(0.0, 0.02, 60) + scatter * np.clip(rng.standard_normal(60), -1.5, 1.5)
-    observed[rng.choice(np.arange(1, 60), 8, replace=False)] = np.nan
-    ours, ours_sd = compressor_tracking._filter(observed, np.zeros(60), scatter, level_sd, drift)
-    start = Belief(np.array([0.0, 0.005]), np.diag([level_sd**2, compressor_tracking.ENTRY_LOSS_SD**2 + drift**2]))
-    walk = Problem(
-        names=("level", "loss"),
-        bounds=np.tile([-np.inf, np.inf], (2, 1)),
-        prior=start,
-        measured=observed[:, None],
-        sigma=np.array([scatter]),
-        observe=lambda _states, theta, _sample: (theta[0] + theta[1])[None],
-        drift=np.array([0.0, drift]),
-    )
-    estimate = ExtendedKalman(smoother_passes=0).estimate(walk)
-    np.testing.assert_allclose(ours, 1.0 - np.exp(-estimate.path[:, 1]), atol=1e-6)
-    np.testing.assert_allclose(ours_sd, np.exp(-estimate.path[:, 1]) * estimate.path_sd[:, 1], atol=1e-6)
 
 
 def test_the_declared_drift_is_what_the_ways_to_wear_come_to():

@@ -7,9 +7,11 @@ import polars as pl
 import pytest
 from by_hand import DSM, flights, log
 
-from hdt_core.tracking.flight_panel import FILTERED, build_panel, fingerprints
+from hdt_core.components.exchanger import HX
+from hdt_core.tracking.flight_panel import FlightPanel, fingerprints, lay_out
+from hdt_core.tracking.loss_filter import loss_rows
 from hdt_core.tracking.sensor_shifts import Corrections
-from hdt_core.tracking.track import LOSS, _null_invalid, _rows, track
+from hdt_core.tracking.track import _null_invalid, exchanger_loss, track
 
 
 @pytest.fixture
@@ -25,8 +27,12 @@ def faults() -> Corrections:
     return Corrections(np.array([0.0, 0.0, -0.05, 0.0]), np.array([0.0, 0.0, 1e-4, 0.0]), np.array([0, 0, 1, 0]) > 0)
 
 
+def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.DataFrame) -> FlightPanel:
+    return lay_out(flights, exchanger_loss(flights, faults, DSM).observations, maintenance, HX.code)
+
+
 def test_each_flight_shows_its_ratio_without_the_sensors_error(twin_flights, faults):
-    panel = build_panel(twin_flights, faults, log(("T-1", 1, "HX", "REPLACED", 1), ("T-1", 1, "CC", "CLEANED", 0)), DSM)
+    panel = build_panel(twin_flights, faults, log(("T-1", 1, "HX", "REPLACED", 1), ("T-1", 1, "CC", "CLEANED", 0)))
     assert panel.row.tolist() == [[0, 3], [1, -1], [2, -1]]
     assert panel.n_rows == 4
     assert panel.flights.tolist() == [3, 1]
@@ -46,7 +52,7 @@ def test_each_flight_shows_its_ratio_without_the_sensors_error(twin_flights, fau
 
 def test_fingerprints_tell_which_flights_before_a_segment_have_changed(twin_flights, faults):
     def prints(frame: pl.DataFrame, seal: str = "s", beside: float = 0.0) -> list[list[str]]:
-        panel = build_panel(frame, faults, log(), DSM)
+        panel = build_panel(frame, faults, log())
         return fingerprints(panel, [np.full(4, beside)], frame["flight_id"].to_list(), seal, 2)
 
     here = prints(twin_flights)
@@ -67,7 +73,8 @@ def test_fingerprints_tell_which_flights_before_a_segment_have_changed(twin_flig
 def test_the_loss_of_a_flight_and_all_of_its_doubt(twin_flights, faults):
     """1 - exp(-0.3) +- exp(-0.3) times the root of filter, map and correction squared."""
     map_sd = np.array([0.01, 0.0, 0.02, 0.01])
-    rows = _rows(twin_flights, LOSS, FILTERED, np.full(4, 0.3), np.full(4, 0.03), map_sd, faults)
+    loss = exchanger_loss(twin_flights, faults, DSM)
+    rows = loss_rows(twin_flights, loss, "hx_fouling", np.full(4, 0.3), np.full(4, 0.03))
     np.testing.assert_allclose(rows["value"], 1.0 - np.exp(-0.3))
     doubt = np.sqrt(0.03**2 + map_sd**2 + faults.variance)
     np.testing.assert_allclose(rows["sd"], np.exp(-0.3) * doubt)
@@ -80,9 +87,9 @@ def test_the_track_takes_level_and_doubt_from_the_model(twin_flights):
     cc = {c: pl.lit(None, pl.Float64) for c in (*others, "diameter_m", "expected_diameter_m")}
     same = flights(30, ln_ua_ratio=0.07, ln_ua_ratio_sd=0.004, ua_expected_w_k=2000.0, ln_ua_ratio_map_sd=0.0)
     same = same.with_columns(cc_n_samples=pl.lit(0), **cc)
-    sure = track(same, log(), DSM).health.filter(parameter=LOSS)
+    sure = track(same, log(), DSM).health.filter(parameter=HX.loss)
     assert sure["value"].max() < 0.02
-    higher = track(same, log(), replace(DSM, clean_level=0.12)).health.filter(parameter=LOSS)
+    higher = track(same, log(), replace(DSM, clean_level=0.12)).health.filter(parameter=HX.loss)
     assert higher["value"].min() > sure["value"].max()
 
 

@@ -10,7 +10,8 @@ from twin_flights import NO_LOG, entry, flights_with_loss
 
 from hdt_core.tables.twin import TwinFlights
 from hdt_core.tracking import segments
-from hdt_core.tracking.track import TrackResult, track
+from hdt_core.tracking.loss_filter import TrackResult
+from hdt_core.tracking.track import track
 
 N = 430
 WEAR = np.r_[np.linspace(0.0, 0.25, 170), np.linspace(0.0, 0.1, 120), np.full(140, 0.3)]
@@ -20,7 +21,11 @@ WEAR = np.r_[np.linspace(0.0, 0.25, 170), np.linspace(0.0, 0.1, 120), np.full(14
 def three(model) -> pl.DataFrame:
     """Three packs, of 430, 330 and 150 flights."""
     parts = [flights_with_loss(model, WEAR, seed=k, tail=f"S-{k}").head(N - n) for k, n in enumerate((0, 100, 280))]
-    return TwinFlights.conform(pl.concat(parts)).with_columns(cc_n_samples=pl.lit(0, pl.Int32))
+    flights = TwinFlights.conform(pl.concat(parts))
+    compressor = {"cc_n_samples": pl.lit(9, pl.Int32), "expected_diameter_m": pl.lit(0.17)}
+    for name, built, share in (("efficiency", model.compressor.efficiency, 0.1), ("diameter_m", 0.17, 0.05)):
+        compressor[name] = built * (share * pl.col("ln_ua_ratio")).exp()
+    return flights.with_columns(**compressor)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +79,9 @@ def test_only_the_last_segments_are_filtered_again(three, log, model, whole, mon
         segments, "step", lambda b, observation, s: flown.append(len(observation.ratio)) or step(b, observation, s)
     )
     assert same(track(three, log, model, whole), whole)
-    assert sum(flown) == (430 - 350) + (330 - 250) + (150 - 50)
+    assert sum(flown) == 3 * (
+        (430 - 350) + (330 - 250) + (150 - 50)
+    )  # of the exchanger and the compressor's two losses
 
 
 def test_a_smoothed_value_is_final_once_the_next_segment_is_flown(three, log, model, whole):
