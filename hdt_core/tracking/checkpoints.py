@@ -28,20 +28,15 @@ class Restart(NamedTuple):
     valid: pl.DataFrame
 
 
-def from_first_flight(n_packs: int) -> Restart:
-    """Start every pack at its first flight."""
-    return Restart(np.zeros(n_packs, dtype=np.int64), {}, _EMPTY)
-
-
-def read_checkpoints(rows: pl.DataFrame, packs: pl.DataFrame, digests: list[list[str]]) -> Restart:
-    """Select checkpoints before which no flight has changed.
+def read_checkpoints(rows: pl.DataFrame | None, packs: pl.DataFrame, digests: list[list[str]]) -> Restart:
+    """Select checkpoints before which no flight has changed; without `rows` every pack starts at its first flight.
 
     Smoothing reaches to the end of the next segment: the last segment whose earlier flights are all unchanged has
     changed the smoothed values of the one before it, so that one is filtered again.
 
     Parameters
     ----------
-    rows : DataFrame
+    rows : DataFrame, optional
         Of `checkpoint_rows`.
     packs : DataFrame
         `TRACK`, in order.
@@ -50,7 +45,8 @@ def read_checkpoints(rows: pl.DataFrame, packs: pl.DataFrame, digests: list[list
     """
     now = [(*packs.row(p), c, digest) for p, segments in enumerate(digests) for c, digest in enumerate(segments)]
     keys = pl.DataFrame(now, schema=_EMPTY.select(CHECKPOINT_KEY).schema, orient="row")
-    valid = rows.select(_EMPTY.columns).join(keys, on=CHECKPOINT_KEY, how="semi").sort(*CHECKPOINT_KEY, "history")
+    rows = _EMPTY if rows is None else rows.select(_EMPTY.columns)
+    valid = rows.join(keys, on=CHECKPOINT_KEY, how="semi").sort(*CHECKPOINT_KEY, "history")
     segments_of: dict[int, set[int]] = {p: {0} for p in range(packs.height)}
     number = {row: p for p, row in enumerate(packs.rows())}
     for *pack, segment in valid.select(PLACE).unique().rows():

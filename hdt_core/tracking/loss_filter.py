@@ -9,7 +9,7 @@ from hdt_core.calibration.arrays import Array
 from hdt_core.components import Component
 from hdt_core.physics.model import Param
 from hdt_core.records.keys import LEG_AT, PACK
-from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
+from hdt_core.tracking.checkpoints import checkpoint_rows, read_checkpoints
 from hdt_core.tracking.flight_panel import FILTERED, fingerprints, health_rows, lay_out
 from hdt_core.tracking.segments import SEGMENT_FLIGHTS, filter_segments
 from hdt_core.tracking.wear_model import Settings
@@ -68,9 +68,7 @@ def track_loss(
     digests = fingerprints(panel, list(loss.more_variance), names, f"{seal}|{loss.settings}", SEGMENT_FLIGHTS)
     packs = flights.select(PACK).unique(maintain_order=True)
     packs = packs.with_columns(component=pl.lit(code), parameter=pl.lit(loss.param.name))
-    restart = (
-        from_first_flight(packs.height) if previous is None else read_checkpoints(previous.checkpoints, packs, digests)
-    )
+    restart = read_checkpoints(previous and previous.checkpoints, packs, digests)
     result = filter_segments(panel, loss.settings, restart.begin, restart.checkpoints)
     is_new = pl.Series(np.isfinite(result.tracks[0]))
     tracks = zip(loss.parameters, (result.tracks[:2], result.tracks[2:]), strict=True)

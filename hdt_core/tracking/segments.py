@@ -96,12 +96,7 @@ def filter_segments(panel: FlightPanel, settings: Settings, begin: Array, checkp
 
 
 def _filter_packs(
-    panel: FlightPanel,
-    settings: Settings,
-    packs: Array,
-    begin: Array,
-    checkpoints: Checkpoints,
-    result: SegmentResult,
+    panel: FlightPanel, settings: Settings, packs: Array, begin: Array, checkpoints: Checkpoints, result: SegmentResult
 ) -> None:
     """Filter and smooth some packs side by side, those with most flights left first; a pack without any drops out."""
     first, remaining = begin[packs] * SEGMENT_FLIGHTS, panel.flights[packs] - begin[packs] * SEGMENT_FLIGHTS

@@ -11,7 +11,7 @@ from by_hand import flights, log
 from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.records.keys import LEG, PACK
-from hdt_core.tracking.checkpoints import checkpoint_rows, from_first_flight, read_checkpoints
+from hdt_core.tracking.checkpoints import checkpoint_rows, read_checkpoints
 from hdt_core.tracking.component import declared_estimator
 from hdt_core.tracking.component_units import (
     _as_built,
@@ -202,7 +202,7 @@ IDS = [["a0", "a1", "a2", "a3"], ["b0", "b1"]]
 )  # fmt: skip
 def test_a_night_goes_on_one_segment_before_the_last_that_stands(segments, now, begin):
     state = start(Settings(0.0, 0.01, 0.05))
-    stored = checkpoint_rows(PACKS, IDS, from_first_flight(2), {(0, c): state for c in [0, *segments]})
+    stored = checkpoint_rows(PACKS, IDS, read_checkpoints(None, PACKS, IDS), {(0, c): state for c in [0, *segments]})
     assert stored["chapter"].unique().sort().to_list() == segments
     others = read_checkpoints(stored, PACKS.with_columns(parameter=pl.lit("pmp_leak")), now)
     assert (others.begin.tolist(), others.valid.height) == ([0, 0], 0)
