@@ -19,7 +19,7 @@ from hdt_core.physics.heat_exchanger import (
     film_resistance,
     steady_exchanger,
 )
-from hdt_core.physics.model import Array, Param, PhysicsModel, State, with_signature
+from hdt_core.physics.model import Array, Param, PhysicsModel, State
 
 
 class Core(NamedTuple):
@@ -110,7 +110,6 @@ def _step_k(*, core_k: Array, dt_s: float, **values: Any) -> Array:
 
 
 _PARAMS = (Param("hx_core_heat_j_k", "J/K", 18e3, (2e3, 100e3), "design"), *PARAMS)
-_NAMES = (*(x.name for x in (*INPUTS, *_PARAMS)), "core_k")
 
 CORE_EXCHANGER = PhysicsModel(
     name="heat_exchanger",
@@ -118,8 +117,8 @@ CORE_EXCHANGER = PhysicsModel(
     outputs=OUTPUTS,
     params=_PARAMS,
     states=(State("core_k", "K", 300.0),),
-    equations=with_signature(_NAMES, _outlets_k),
-    rates=with_signature(_NAMES, _rate_k_s),
-    step=with_signature((*_NAMES, "dt_s"), _step_k),
+    equations=_outlets_k,
+    rates=_rate_k_s,
+    step=_step_k,
 )
 """For 1 Hz logs. 15 to 30 kg of aluminium settle in 3 to 10 s."""

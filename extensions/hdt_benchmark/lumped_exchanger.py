@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hdt_core.physics.heat_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
-from hdt_core.physics.model import Array, Equation, Param, PhysicsModel, Signal, State, with_signature
+from hdt_core.physics.model import Array, Equation, Param, PhysicsModel, Signal, State
 
 Factors = tuple[Array, Array, Array, Array]
 """Entries of a 2 x 2 matrix, row by row: the state x, with x' = [[p, q], [r, s]] x, is multiplied by it each step."""
@@ -173,18 +173,16 @@ def lumped_exchanger(form: Form = "exact") -> PhysicsModel:
         below the fastest time constant.
     """
     if form == "quasi_steady":
-        names = tuple(x.name for x in (*_INPUTS, *_COEFFICIENTS))
-        return PhysicsModel("lumped_exchanger", _INPUTS, _OUTPUTS, _COEFFICIENTS, _with_loss(names, steady_outlets_k))
-    names = tuple(x.name for x in (*_INPUTS, *_COEFFICIENTS, *_MASSES, *_STATES))
+        return PhysicsModel("lumped_exchanger", _INPUTS, _OUTPUTS, _COEFFICIENTS, _with_loss(steady_outlets_k))
     return PhysicsModel(
         "lumped_exchanger",
         _INPUTS,
         _OUTPUTS,
         _COEFFICIENTS + _MASSES,
-        _with_loss(names, _read_volumes),
+        _with_loss(_read_volumes),
         _STATES,
-        _with_loss(names, rates_k_s),
-        _with_loss((*names, "dt_s"), partial(_step, _FACTORS[form])),
+        _with_loss(rates_k_s),
+        _with_loss(partial(_step, _FACTORS[form])),
     )
 
 
@@ -206,14 +204,14 @@ def _step(
     return hot_k + hh * above_hot_k + hc * above_cold_k, cold_k + ch * above_hot_k + cc * above_cold_k
 
 
-def _with_loss(names: tuple[str, ...], equation: Equation) -> Equation:
+def _with_loss(equation: Equation) -> Equation:
     """Return the equation with both coefficients reduced by the loss, the health parameter."""
 
     def with_reduced_coefficients(*, hx_h_loss: Array, hx_h_hot_w_k: Array, hx_h_cold_w_k: Array, **others: Any) -> Any:
         share = 1.0 - hx_h_loss
         return equation(hx_h_hot_w_k=share * hx_h_hot_w_k, hx_h_cold_w_k=share * hx_h_cold_w_k, **others)
 
-    return with_signature(names, with_reduced_coefficients)
+    return with_reduced_coefficients
 
 
 def _read_volumes(*, hot_volume_k: Array, cold_volume_k: Array, **_: Any) -> tuple[Array, Array]:

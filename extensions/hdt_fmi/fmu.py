@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hdt_core.physics.integrators import Solver
-from hdt_core.physics.model import Array, Param, PhysicsModel, Signal, with_signature
+from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
 from hdt_fmi.fmu_unit import FATAL, FmuUnit, apply_losses, check_losses
 
 
@@ -65,7 +65,6 @@ def fmu_model(
     unit.check(inputs, ("input",))
     unit.check(own, ("parameter",))
     unit.check(outputs, ("output", "local"))
-    order = [*(s.name for s in inputs), *(p.name for p in params), *(s.name for s in states)]
 
     def run(kind: str, values: dict[str, Any]) -> tuple[Array, ...]:
         now = [values.pop(s.name) for s in states]
@@ -77,9 +76,9 @@ def fmu_model(
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         params=tuple(params),
-        equations=with_signature(order, lambda **values: run("outputs", values)),
+        equations=lambda **values: run("outputs", values),
         states=states,
-        rates=with_signature(order, lambda **values: run("rates", values)) if states else None,
+        rates=(lambda **values: run("rates", values)) if states else None,
         solver=solver,
     )
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hdt_core.physics.integrators import RTOL
-from hdt_core.physics.model import Array, Param, PhysicsModel, Signal, with_signature
+from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
 from hdt_fmi.fmu_unit import FATAL, FmuUnit, apply_losses, check_losses
 
 TIME = Signal("time_s", "s")
@@ -74,8 +74,7 @@ def fmu_over_time(
         effective = apply_losses(values, losses)
         return run.evaluate([effective[p.name] for p in own], time_s)
 
-    order = [TIME.name, *(p.name for p in params)]
-    return PhysicsModel(unit.name, (TIME,), tuple(outputs), tuple(params), with_signature(order, over_time))
+    return PhysicsModel(unit.name, (TIME,), tuple(outputs), tuple(params), over_time)
 
 
 class _Run:

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
-from hdt_core.physics.model import PhysicsModel, Signal, as_tuple, with_signature
+from hdt_core.physics.model import PhysicsModel, Signal, as_tuple
 from hdt_core.physics.ram_duct import RAM_DUCT
 
 Kind = Literal["equations", "rates", "step"]
@@ -38,7 +38,6 @@ def compose(name: str, parts: Sequence[PhysicsModel], connections: Mapping[str, 
         inputs |= {s.name: s for s in part.inputs if f"{part.name}.{s.name}" not in connections}
     _check(parts, connections, inputs)
     states = tuple(s for part in parts for s in part.states)
-    order = (*inputs, *(p.name for part in parts for p in part.params), *(s.name for s in states))
 
     def evaluate(kind: Kind, values: dict[str, Any]) -> tuple[Any, ...]:
         signals = dict(values)  # the whole's inputs by bare name, outputs by `part.signal`
@@ -55,10 +54,10 @@ def compose(name: str, parts: Sequence[PhysicsModel], connections: Mapping[str, 
         inputs=tuple(inputs.values()),
         outputs=tuple(s for part in parts for s in part.outputs),
         params=tuple(p for part in parts for p in part.params),
-        equations=with_signature(order, lambda **values: evaluate("equations", values)),
+        equations=lambda **values: evaluate("equations", values),
         states=states,
-        rates=with_signature(order, lambda **values: evaluate("rates", values)) if states else None,
-        step=with_signature((*order, "dt_s"), lambda **values: evaluate("step", values)) if states else None,
+        rates=(lambda **values: evaluate("rates", values)) if states else None,
+        step=(lambda **values: evaluate("step", values)) if states else None,
     )
 
 

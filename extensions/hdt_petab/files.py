@@ -15,7 +15,7 @@ import yaml
 
 from hdt_core.estimation import Belief, Problem
 from hdt_core.estimation.declared import declared_problem
-from hdt_core.physics.model import Param, PhysicsModel, Signal, State, with_signature
+from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 from hdt_petab.formula import formulas
 
 Array = np.ndarray
@@ -232,7 +232,7 @@ def _model(petab: Any, free: Sequence[Param]) -> PhysicsModel:
         symbols = [sympy.Symbol(name, real=True) for name in names]
         expressions = [sympify_petab(text).subs(constants) for text in texts]
         function = sympy.lambdify(symbols, expressions, "numpy")
-        return with_signature(names, lambda **values: tuple(function(*(values[name] for name in names))))
+        return lambda **values: tuple(function(*(values[name] for name in names)))
 
     sigmas = [float(sympify_petab(noise)) for noise in table["noiseFormula"]]
     return PhysicsModel(

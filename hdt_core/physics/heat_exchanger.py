@@ -162,32 +162,12 @@ def measured_conductance_w_k(
 
 
 def steady_exchanger(
-    *,
-    hot_flow_kg_s: Array,
-    ram_flow_kg_s: Array,
-    hot_in_k: Array,
-    cold_in_k: Array,
-    hx_ua_reference_w_k: Array,
-    hx_exponent_hot: Array,
-    hx_exponent_cold: Array,
-    hx_hot_share: Array,
-    hx_wall_share: Array,
-    hx_fouling: Array,
+    *, hot_flow_kg_s: Array, ram_flow_kg_s: Array, hot_in_k: Array, cold_in_k: Array, hx_fouling: Array, **clean: Array
 ) -> tuple[Array, Array]:
     """Hot and cold outlet temperature of a fouled exchanger in steady flow; arguments as in `HEAT_EXCHANGER`. [K]"""
-    hot_film_gain, cold_film_gain = film_gains(hot_in_k, cold_in_k)
-    clean_w_k = clean_conductance_w_k(
-        hot_flow_kg_s,
-        ram_flow_kg_s,
-        hx_ua_reference_w_k=hx_ua_reference_w_k,
-        hx_exponent_hot=hx_exponent_hot,
-        hx_exponent_cold=hx_exponent_cold,
-        hx_hot_share=hx_hot_share,
-        hx_wall_share=hx_wall_share,
-        hot_film_gain=hot_film_gain,
-        cold_film_gain=cold_film_gain,
-    )
-    return outlets_k(hot_flow_kg_s, ram_flow_kg_s, hot_in_k, cold_in_k, (1.0 - hx_fouling) * clean_w_k)
+    gains = dict(zip(("hot_film_gain", "cold_film_gain"), film_gains(hot_in_k, cold_in_k), strict=True))
+    ua_w_k = (1.0 - hx_fouling) * clean_conductance_w_k(hot_flow_kg_s, ram_flow_kg_s, **clean, **gains)
+    return outlets_k(hot_flow_kg_s, ram_flow_kg_s, hot_in_k, cold_in_k, ua_w_k)
 
 
 INPUTS = (

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, clean_conductance_w_k, outlets_k
-from hdt_core.physics.model import Array, Param, PhysicsModel, with_signature
+from hdt_core.physics.model import Array, Param, PhysicsModel
 from hdt_core.physics.ram_duct import RAM_DUCT, REST_AREA_M2, clean_flow_kg_s, static_pressure_pa
 
 REFERENCE_FILM_K = 325.0
@@ -112,6 +112,6 @@ INSTALLED = PhysicsModel(
     inputs=INPUTS,
     outputs=OUTPUTS,
     params=PARAMS,
-    equations=with_signature([*(s.name for s in INPUTS), *(p.name for p in PARAMS)], installed_outlets_k),
+    equations=installed_outlets_k,
 )
 """Model that the night calibrates (`design`) and tracks (`health`), and that a notebook passes to an `Estimator`."""

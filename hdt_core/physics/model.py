@@ -2,7 +2,7 @@
 
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -96,8 +96,9 @@ class PhysicsModel:
     Attributes
     ----------
     equations : callable
-        Pure and vectorised. Argument names are exactly the declared inputs, parameters and states; returns one array
-        an output, in the declared order (the array itself where there is one output).
+        Pure and vectorised. Argument names are exactly the declared inputs, parameters and states, where there is no
+        ``**values`` for the rest; returns one array an output, in the declared order (the array itself where there is
+        one output).
     rates : callable, optional
         Same argument names; returns the time derivative of each state, in the declared order. Needed with states.
     step : callable, optional
@@ -123,8 +124,7 @@ class PhysicsModel:
         if duplicates:
             raise ValueError(f"{self.name}: declared twice: {', '.join(duplicates)}")
         for function, more in ((self.equations, set()), (self.rates, set()), (self.step, {"dt_s"})):
-            if function is not None and set(inspect.signature(function).parameters) != set(names) | more:
-                off = set(inspect.signature(function).parameters) ^ (set(names) | more)
+            if function is not None and (off := _names_apart(function, set(names) | more)):
                 raise ValueError(f"{self.name}: declared and taken names differ in {', '.join(sorted(off))}")
         if bool(self.states) != (self.rates is not None):
             raise ValueError(f"{self.name}: states and rates come together or not at all")
@@ -243,6 +243,13 @@ class PhysicsModel:
         return {name: np.asarray(values[name]) for name in self.names}
 
 
+def _names_apart(function: Equation, declared_names: set[str]) -> set[str]:
+    """Return names that a function takes undeclared, or leaves out without a ``**values`` to take them."""
+    parameters = inspect.signature(function).parameters.values()
+    own = {p.name for p in parameters if p.kind is not inspect.Parameter.VAR_KEYWORD}
+    return own ^ declared_names if len(own) == len(parameters) else own - declared_names
+
+
 def declared(value: float | None) -> float:
     """Return a number that a declaration may omit and that is required here.
 
@@ -259,11 +266,3 @@ def declared(value: float | None) -> float:
 def as_tuple(value: Any) -> tuple[Any, ...]:
     """Return the result of equations, one array or several, as a tuple."""
     return tuple(value) if isinstance(value, (tuple, list)) else (value,)
-
-
-def with_signature(names: Sequence[str], function: Equation) -> Equation:
-    """Give a function of ``**values`` the signature that a declaration is checked against."""
-    keyword_only = inspect.Parameter.KEYWORD_ONLY
-    signature = inspect.Signature([inspect.Parameter(n, keyword_only) for n in names])
-    function.__signature__ = signature  # type: ignore[attr-defined]
-    return function

@@ -92,40 +92,15 @@ def static_pressure_pa(altitude_m: Array, mach: Array, total_pressure_pa: Array)
 
 
 def ram_flow(
-    *,
-    ram_door_open: Array,
-    total_pressure_pa: Array,
-    tat_k: Array,
-    altitude_m: Array,
-    mach: Array,
-    ram_area_closed_m2: Array,
-    ram_area_open_m2: Array,
-    ram_door_low: Array,
-    ram_door_high: Array,
-    ram_core_area_m2: Array,
-    ram_exit_area_m2: Array,
-    ram_recovery: Array,
-    ram_flow_loss: Array,
+    *, altitude_m: Array, mach: Array, total_pressure_pa: Array, ram_flow_loss: Array, **clean: Array
 ) -> Array:
     """Mass flow of ram air; arguments as declared in `RAM_DUCT`. [kg/s]
 
     Door, core and exit in series, driven from the recovered total pressure to the static pressure outside, with the
     compressible nozzle law: at Mach 0.85 the incompressible one reads 10 % high or more.
     """
-    clean_kg_s = clean_flow_kg_s(
-        static_pressure_pa(altitude_m, mach, total_pressure_pa),
-        ram_door_open=ram_door_open,
-        total_pressure_pa=total_pressure_pa,
-        tat_k=tat_k,
-        ram_area_closed_m2=ram_area_closed_m2,
-        ram_area_open_m2=ram_area_open_m2,
-        ram_door_low=ram_door_low,
-        ram_door_high=ram_door_high,
-        ram_core_area_m2=ram_core_area_m2,
-        ram_exit_area_m2=ram_exit_area_m2,
-        ram_recovery=ram_recovery,
-    )
-    return (1.0 - ram_flow_loss) * clean_kg_s
+    static_pa = static_pressure_pa(altitude_m, mach, total_pressure_pa)
+    return (1.0 - ram_flow_loss) * clean_flow_kg_s(static_pa, total_pressure_pa=total_pressure_pa, **clean)
 
 
 def clean_flow_kg_s(

@@ -163,6 +163,8 @@ def test_missing_input_is_named():
 def test_declared_and_taken_names_must_agree():
     with pytest.raises(ValueError, match="differ in gain"):
         PhysicsModel("m", (Signal("x", "-"),), (Signal("y", "-"),), (), doubled)
+    with pytest.raises(ValueError, match="differ in slope"):
+        PhysicsModel("m", (Signal("x", "-"),), (Signal("y", "-"),), (), lambda *, slope, **values: slope)
 
 
 @pytest.mark.parametrize(
