@@ -3,8 +3,6 @@
 The pack's parts have rules of their own in `wear`, `sensor_faults` and `door_faults`.
 """
 
-import math
-
 import numpy as np
 import polars as pl
 
@@ -16,7 +14,7 @@ from hdt_core.alerts.diagnoses import Diagnosis
 from hdt_core.alerts.evidence import NEUTRAL, SUPPORTS, Corroboration, Evidence
 from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.wear import odds_above
-from hdt_core.alerts.wording import Facts, loss_finding, trend, within
+from hdt_core.alerts.wording import Facts, graded, loss_finding, trend, within
 from hdt_core.components import Component
 from hdt_core.health.detection import persistent
 from hdt_core.health.features import features
@@ -109,9 +107,6 @@ def _evidence(component: Component, facts: Facts, since: str) -> Evidence:
     lost, name = component.lost, component.loss
     finding = loss_finding(phrases.UNIT_LOST, loss, sd, component.warn_loss, since, lost=lost, name=name)
     fails = phrases.UNIT_FAILS.format(loss=within(component.limit.mean, component.limit.unit_sd))
-    corroborations = [Corroboration(SUPPORTS if loss > HIGH_SEVERITY_SHARE * component.limit.mean else NEUTRAL, fails)]
-    if not math.isnan(facts["loss_step_3"]) and facts["loss_step_3"] > SUDDEN_STEP:
-        corroborations.append(
-            Corroboration(NEUTRAL, phrases.UNIT_STEP.format(points=f"{100 * facts['loss_step_3']:.0f}"))
-        )
-    return Evidence("; ".join([finding, *trend(slope)]), tuple(corroborations), component.otherwise, component.waiting)
+    near = Corroboration(SUPPORTS if loss > HIGH_SEVERITY_SHARE * component.limit.mean else NEUTRAL, fails)
+    sudden = graded(facts["loss_step_3"], (SUDDEN_STEP, NEUTRAL, phrases.UNIT_STEP))
+    return Evidence("; ".join([finding, *trend(slope)]), (near, *sudden), component.otherwise, component.waiting)

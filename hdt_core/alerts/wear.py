@@ -144,9 +144,8 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
         if loss[unit, first] > limits.fouling:
             continue  # explained by wear, which has its own case
         facts = {name: float(grid.track(name, unit)[first]) for name in MARGIN_FACTS}
-        small = np.nonzero(~(soon[unit, : first + 1] > limits.passage))[0]
-        began = int(small[-1]) + 1 if small.size else 0
-        cases.append(Case(unit, "HX", "HX_LOW_MARGIN", first, end, facts | {"since": began}))
+        facts["since"] = _last_start(soon[unit, : first + 1] > limits.passage)
+        cases.append(Case(unit, "HX", "HX_LOW_MARGIN", first, end, facts))
     return cases
 
 
@@ -179,10 +178,14 @@ def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Ar
 def _hx(grid: Grid, diagnosis: str, run: tuple[int, int, int | None], gain: Array) -> Case:
     """Return a case of an exchanger with its facts; `gain` (units, flights): of `loss_rise`."""
     unit, first, end = run
-    small = np.nonzero(~(grid.track("hx_fouling", unit)[: first + 1] > 0.05))[0]
-    began, jump = int(small[-1]) + 1 if small.size else 0, float(grid.track("hx_fouling_step_3", unit)[first])
-    facts = {"since": began, "jump": jump}
+    jump = float(grid.track("hx_fouling_step_3", unit)[first])
+    facts = {"since": _last_start(grid.track("hx_fouling", unit)[: first + 1] > 0.05), "jump": jump}
     return Case(unit, "HX", diagnosis, first, end, facts, fact_after("gained", gain[unit]))
+
+
+def _last_start(flags: Array) -> int:
+    """Return the flight from which on all are flagged. (flights,)"""
+    return int(np.flatnonzero(np.append(True, ~flags))[-1])
 
 
 def _diameter(grid: Grid, restart: Array) -> Array:

@@ -102,10 +102,14 @@ def exchanger(facts: Facts, since: str, clean_flow: str = NEUTRAL) -> Evidence:
     findings += trend(facts["hx_fouling_slope_30_per_flight"])
     if facts["gained"] > loss + 2.0 * sd:
         findings.append(phrases.RISE.format(points=_percent(facts["gained"])))
-    corroborations = (_full_open(facts), _door_beside(facts), _loss_beside(facts), _ram_flow(facts, clean_flow))
-    return Evidence(
-        "; ".join(findings), tuple(w for w in corroborations if w), phrases.EXCHANGER_ELSE, phrases.EXCHANGER_COSTS
+    # a blockage starves the ram flow, a film does not; known where the ram outlet is measured
+    ram_flow = graded(
+        facts["ram_flow_loss"],
+        (RAM_FLOW_LOSS, SUPPORTS, phrases.FLOW_BLOCKED),
+        (-math.inf, clean_flow, phrases.FLOW_CLEAN),
     )
+    corroborations = (_full_open(facts), *_beside(facts), *ram_flow)
+    return Evidence("; ".join(findings), corroborations, phrases.EXCHANGER_ELSE, phrases.EXCHANGER_COSTS)
 
 
 def clog(facts: Facts, since: str) -> Evidence:
@@ -114,47 +118,38 @@ def clog(facts: Facts, since: str) -> Evidence:
     return replace(fouling, finding=f"{fouling.finding}; " + phrases.JUMP.format(points=_percent(facts["jump"])))
 
 
+def graded(value: float, *grades: tuple[float, str, str]) -> tuple[Corroboration, ...]:
+    """Return the observation of the first grade (limit, role, phrase) that the value exceeds; none where it is unknown.
+
+    The phrase takes the value's size in per cent, as `share` or as `points`.
+    """
+    percent = _percent(abs(value))
+    for limit, role, phrase in grades:
+        if value > limit:
+            return (Corroboration(role, phrase.format(share=percent, points=percent)),)
+    return ()
+
+
 def _full_open(facts: Facts) -> Corroboration:
     """Report whether the door is full open, so that the controller lacks ram air."""
     share = facts["door_full_open_share"]
     if math.isnan(share):
         return Corroboration(NEUTRAL, phrases.DOOR_UNKNOWN)
-    spare = share < FULL_OPEN_SHARE
-    phrase = phrases.DOOR_SPARE if spare else phrases.DOOR_FULL
-    return Corroboration(NEUTRAL if spare else SUPPORTS, phrase.format(share=_percent(share)))
+    role, phrase = (NEUTRAL, phrases.DOOR_SPARE) if share < FULL_OPEN_SHARE else (SUPPORTS, phrases.DOOR_FULL)
+    return Corroboration(role, phrase.format(share=_percent(share)))
 
 
-def _door_beside(facts: Facts) -> Corroboration | None:
-    """Compare the doors of both packs on a flight: that of the pack that lost more should stand wider."""
+def _beside(facts: Facts) -> tuple[Corroboration, ...]:
+    """Compare both packs: the door of that which lost more stands wider; a loss of both may have a common cause."""
     wider, more = facts["door_median_between_packs"], facts["hx_fouling_between_packs"]
-    if math.isnan(wider) or not more > LOSS_DIFFERENCE:
-        return None
-    if abs(wider) <= DOOR_DIFFERENCE:
-        return Corroboration(NEUTRAL, phrases.DOOR_ALIKE)
-    points = _percent(abs(wider))
-    if wider > 0.0:
-        return Corroboration(SUPPORTS, phrases.DOOR_WIDER.format(points=points))
-    return Corroboration(AGAINST, phrases.DOOR_NARROWER.format(points=points))
-
-
-def _loss_beside(facts: Facts) -> Corroboration | None:
-    """Compare the losses of both packs: one that they share may have a common cause."""
-    more = facts["hx_fouling_between_packs"]
-    if math.isnan(more):
-        return None
-    if more > LOSS_DIFFERENCE:
-        return Corroboration(SUPPORTS, phrases.OTHER_LESS.format(points=_percent(more)))
-    return Corroboration(NEUTRAL, phrases.OTHER_ALIKE)
-
-
-def _ram_flow(facts: Facts, clean_flow: str) -> Corroboration | None:
-    """Report ram flow where the ram outlet is measured: a blockage starves it, a film does not."""
-    loss = facts["ram_flow_loss"]
-    if math.isnan(loss):
-        return None
-    if loss > RAM_FLOW_LOSS:
-        return Corroboration(SUPPORTS, phrases.FLOW_BLOCKED.format(share=_percent(loss)))
-    return Corroboration(clean_flow, phrases.FLOW_CLEAN)
+    doors = graded(
+        wider,
+        (DOOR_DIFFERENCE, SUPPORTS, phrases.DOOR_WIDER),
+        (-DOOR_DIFFERENCE, NEUTRAL, phrases.DOOR_ALIKE),
+        (-math.inf, AGAINST, phrases.DOOR_NARROWER),
+    )
+    losses = graded(more, (LOSS_DIFFERENCE, SUPPORTS, phrases.OTHER_LESS), (-math.inf, NEUTRAL, phrases.OTHER_ALIKE))
+    return (*doors, *losses) if more > LOSS_DIFFERENCE else losses
 
 
 def low_margin(facts: Facts, since: str) -> Evidence:
@@ -209,11 +204,8 @@ def _reserve(facts: Facts) -> tuple[Corroboration, ...]:
     reserve, hot_high = facts["cc_diameter_left"], facts["cc_diameter_left_hot_high"]
     if math.isnan(reserve):
         return ()
-    own = phrases.DIAMETER_LEFT if reserve > 0.0 else phrases.TOO_SMALL
-    high = phrases.LEFT_HOT_HIGH if hot_high > 0.0 else phrases.SMALL_HOT_HIGH
-    return (
-        Corroboration(NEUTRAL if reserve > 0.0 else SUPPORTS, own.format(share=_percent(abs(reserve)))),
-        Corroboration(NEUTRAL, high.format(share=_percent(abs(hot_high)))),
+    return graded(reserve, (0.0, NEUTRAL, phrases.DIAMETER_LEFT), (-math.inf, SUPPORTS, phrases.TOO_SMALL)) + graded(
+        hot_high, (0.0, NEUTRAL, phrases.LEFT_HOT_HIGH), (-math.inf, NEUTRAL, phrases.SMALL_HOT_HIGH)
     )
 
 
@@ -243,8 +235,7 @@ def sensor(facts: Facts, since: str) -> Evidence:
         finding = phrases.DROPOUT.format(sensor=name, share=_percent(facts["share"]), since=since)
         return Evidence(finding, (), phrases.DROPOUT_ELSE, phrases.SENSOR_COSTS)
     if facts["kind"] == "frozen":
-        finding = phrases.FROZEN.format(sensor=name, since=since)
-        return Evidence(finding, (), phrases.FROZEN_ELSE, phrases.SENSOR_COSTS)
+        return Evidence(phrases.FROZEN.format(sensor=name, since=since), (), phrases.FROZEN_ELSE, phrases.SENSOR_COSTS)
     finding = phrases.SENSOR_SHIFT.format(
         sensor=name,
         check=phrases.plain_name(facts["channel"]),
