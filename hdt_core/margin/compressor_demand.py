@@ -5,8 +5,6 @@ position for a flow, equation (6) the diameter of a sound machine there, and equ
 needs. A machine that has lost diameter must close its diffuser to hold the pressure, and so loses flow.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 import polars as pl
 
@@ -32,15 +30,14 @@ SURE_SD, LEAST_SLOPE_M3_COUNT = 5.0, 1e-8
 """Standard deviations, and m3 a count, above which the slope of the diffuser's map counts: else there is no map."""
 HARD_SHARE = 0.2
 """Share of the cruise with a higher demand than the margin is stated for. [-]"""
-CONDITIONS = ("p20", "middle", "hot_high")
-"""The hardest fifth of the cruise, its median, and the same flow at 41,000 ft on a hot day."""
+CONDITIONS = ("p20", "hot_high")
+"""The hardest fifth of the cruise, and the median flow at 41,000 ft on a hot day."""
 SIGNALS = (
     "cc_speed_rad_s", "vda_counts", "inlet_k", "inlet_pa", "altitude_m", "mach", "tat_k", "total_pressure_pa",
     "pack_flow_kg_s",
 )  # fmt: skip
 CRITICAL_DIAMETER = {w: tuple(f"critical_ln_diameter_{w}_{round(100 * f)}pct" for f in FLOWS) for w in CONDITIONS}
 WIDEST = {w: f"cc_widest_share_{w}" for w in CONDITIONS}
-CLEAN_PARTS = ("cc_flow_margin_design_kg_s", "cc_flow_margin_demand_kg_s", "cc_flow_margin_ambient_kg_s")
 
 
 def compressor_demand(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules) -> pl.DataFrame:
@@ -61,8 +58,8 @@ def compressor_demand(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedul
         One row a flight and pack with such samples in cruise, none where the diffuser's map or the highest speed is not
         known: `cc_flow_asked_kg_s` (median, by speed and diffuser), `cc_speed_limit_met` (that speed is the limit),
         `critical_ln_diameter_<condition>_<flow>pct` (ln of the least diameter over equation (6)'s that delivers that
-        share of the demanded flow), `cc_widest_share_<condition>` (share delivered at the widest position on record)
-        and `CLEAN_PARTS`. Missing is null.
+        share of the demanded flow) and `cc_widest_share_<condition>` (share delivered at the widest position on
+        record). Missing is null.
     """
     fit, limit_rad_s = dsm.compressor, schedules.speed.rad_s
     has_map = fit.group_slope_m3_per_count > max(SURE_SD * fit.group_slope_sd_m3_per_count, LEAST_SLOPE_M3_COUNT)
@@ -70,8 +67,9 @@ def compressor_demand(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedul
     if limit_rad_s is None or not has_map or not cruise.height:
         return FeaturesMargin.create_empty().select(*FLIGHT_PACK, *COMPRESSOR_DEMAND)
     flights = _hardest_curves(cruise, dsm, schedules, limit_rad_s)
+    hot = required_diameter(_with_pressure(_hot_and_high(flights), dsm, schedules), fit, limit_rad_s)
     return flights.with_columns(
-        *_median_curves(flights, dsm, schedules, limit_rad_s),
+        *_columns("hot_high", *hot),
         cc_flow_asked_kg_s=pl.col("flow_kg_s"),
         cc_speed_limit_met=pl.lit(schedules.speed.at_limit),
     ).select(*FLIGHT_PACK, *COMPRESSOR_DEMAND)
@@ -175,29 +173,10 @@ def _columns(condition: str, critical: Array, widest: Array) -> list[pl.Series]:
     return [pl.Series(name, values).fill_nan(None) for name, values in columns]
 
 
-def _median_curves(flights: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules, limit_rad_s: float) -> list[pl.Series]:
-    """Return the curves at each flight's medians and hot and high, and a clean machine's margin in parts, in turn from
-    the reference cruise to the flight: `CLEAN_PARTS`."""
-    fit = dsm.compressor
-    high = reference_air(flights.height, HIGH_CRUISE_M)
-    high["tat_k"] = hot_day_tat_k(high["altitude_m"], high["mach"])
-    demand, hot = _in_air(flights, reference_air(flights.height)), _in_air(flights, high)
-    usual = dsm.cruise_flows_kg_s[0] / pl.col("pack_flow_kg_s")
-    design = demand.with_columns(pl.col("flow_kg_s", "pack_flow_kg_s") * usual)
-    curves = [
-        required_diameter(_with_pressure(rows, dsm, schedules), fit, limit_rad_s)
-        for rows in (design, demand, flights, hot)
-    ]
-    flows = [rows["flow_kg_s"].to_numpy() for rows in (design, demand, flights)]
-    clean = np.zeros(flights.height)
-    margins = [(share_left(clean, *a)[0] - 1.0) * flow for a, flow in zip(curves[:3], flows, strict=True)]
-    parts = zip(CLEAN_PARTS, (margins[0], *np.diff(margins, axis=0)), strict=True)
-    part_columns = [pl.Series(name, values).fill_nan(None) for name, values in parts]
-    return [*_columns("middle", *curves[2]), *_columns("hot_high", *curves[3]), *part_columns]
-
-
-def _in_air(flights: pl.DataFrame, air: Mapping[str, Array]) -> pl.DataFrame:
-    """Return the same flows in other air, which the compressor's inlet follows."""
+def _hot_and_high(flights: pl.DataFrame) -> pl.DataFrame:
+    """Return the same flows at 41,000 ft on a hot day; the compressor's inlet follows the air."""
+    air = reference_air(flights.height, HIGH_CRUISE_M)
+    air["tat_k"] = hot_day_tat_k(air["altitude_m"], air["mach"])
     above_k, share = pl.col("inlet_k") - pl.col("tat_k"), pl.col("inlet_pa") / pl.col("total_pressure_pa")
     now = {name: pl.Series(values) for name, values in air.items()}
     return flights.with_columns(**now, inlet_k=now["tat_k"] + above_k, inlet_pa=now["total_pressure_pa"] * share)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from hdt_core.margin.compressor_demand import CLEAN_PARTS, CONDITIONS, FLOWS, curves_of, share_left
+from hdt_core.margin.compressor_demand import CONDITIONS, FLOWS, curves_of, share_left
 from hdt_core.margin.curves import read_across
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS, SHARES
 from hdt_core.physics.model import Array
@@ -126,7 +126,7 @@ def compressor_margin(wide: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
     )
     ratio, flow = (rows[c].to_numpy().astype(float) for c in ("cc_ln_diameter_ratio", "cc_flow_asked_kg_s"))
     ratio_sd = np.hypot(rows["cc_diameter_loss_sd"].to_numpy().astype(float), PROBE_SD)
-    (hard, hard_sd), (middle, _), (hot, hot_sd) = (
+    (hard, hard_sd), (hot, hot_sd) = (
         ((share - 1.0) * flow, slope * ratio_sd * flow)
         for share, slope in (share_left(ratio, *curves_of(rows, where)) for where in CONDITIONS)
     )
@@ -134,8 +134,6 @@ def compressor_margin(wide: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
     columns = {
         "cc_flow_margin_kg_s": hard, "cc_flow_margin_sd_kg_s": hard_sd,
         "cc_flow_margin_hot_high_kg_s": hot, "cc_flow_margin_hot_high_sd_kg_s": hot_sd,
-        "cc_flow_margin_wear_kg_s": middle - rows.select(CLEAN_PARTS).to_numpy().sum(axis=1),
-        "cc_flow_margin_profile_kg_s": hard - middle,
         "cc_diameter_left": spare, "cc_diameter_left_sd": (1.0 - spare) * ratio_sd,
         "cc_diameter_left_hot_high": _spare(rows, "hot_high", ratio),
     }  # fmt: skip

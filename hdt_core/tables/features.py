@@ -85,11 +85,6 @@ COMPRESSOR_MARGIN = {
     "cc_flow_margin_sd_kg_s": "standard deviation of it; null where it is as much as the diffuser's map reaches to",
     "cc_flow_margin_hot_high_kg_s": "the same with that flow asked at 41,000 ft on a hot day (ISA + 15 K)",
     "cc_flow_margin_hot_high_sd_kg_s": "standard deviation of it; null in the same way",
-    "cc_flow_margin_design_kg_s": "margin of a machine as built at the reference cruise, the baseline's flow asked",
-    "cc_flow_margin_demand_kg_s": "of the margin: what the flight's own flow adds",
-    "cc_flow_margin_ambient_kg_s": "of the margin: what its level and the air outside add",
-    "cc_flow_margin_wear_kg_s": "of the margin: what wear and the unit's own build add",
-    "cc_flow_margin_profile_kg_s": "of the margin: what the hardest fifth of the cruise adds to its middle",
 }
 _DOOR = {
     "door_span": "5 to 95 % span of the ram door's position in the flight",
@@ -248,7 +243,7 @@ def _critical(where: str) -> dict[str, dy.Column]:
 
 
 def _delivery(where: str) -> dict[str, dy.Float64]:
-    words = {"p20": "a fifth of the cruise", "middle": "its middle", "hot_high": "its middle, were it hot and high"}
+    words = {"p20": "a fifth of the cruise", "hot_high": "its middle, were it hot and high"}
     flow = f"of the flow asked in {words[where]}, at the highest speed"
     ratio = "ln of the least diameter over equation (6)'s that delivers"
     critical = {
@@ -262,11 +257,7 @@ COMPRESSOR_DEMAND = {
     "cc_flow_asked_kg_s": number("flow asked of the compressor, by speed and diffuser, median in cruise", "kg/s"),
     "cc_speed_limit_met": flag("the compressors' highest speed is known to be their limit", nullable=True),
     **_delivery("p20"),
-    **_delivery("middle"),
     **_delivery("hot_high"),
-    "cc_flow_margin_design_kg_s": number("flow margin of a machine as built at the reference cruise", "kg/s"),
-    "cc_flow_margin_demand_kg_s": number("what the flight's own flow adds to it", "kg/s"),
-    "cc_flow_margin_ambient_kg_s": number("what its level and the air outside add", "kg/s"),
 }
 FeaturesMargin = cast(
     "type[Table]", type("FeaturesMargin", (_Margin,), {"__doc__": _Margin.__doc__, **_CRITICAL, **COMPRESSOR_DEMAND})

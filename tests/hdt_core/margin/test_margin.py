@@ -5,7 +5,7 @@ from math import exp, hypot, log
 import polars as pl
 import pytest
 
-from hdt_core.margin.compressor_demand import CLEAN_PARTS, CRITICAL_DIAMETER, FLOWS, WIDEST
+from hdt_core.margin.compressor_demand import CRITICAL_DIAMETER, FLOWS, WIDEST
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS
 from hdt_core.margin.margin import PRIOR_RULE, compressor_margin, exchanger_margin, ln_ratio_margin
 
@@ -75,15 +75,14 @@ def test_what_is_left_is_the_units_own_level_less_its_wear():
 
 
 def delivery(*, loss: float = 0.04, limit_met: bool = True, widest: float = 2.0) -> dict[str, object]:
-    """A compressor whose critical ln diameter is -.30 (-.28 middle, -.26 hot and high) and .2 a share of flow."""
+    """A compressor whose critical ln diameter is -.30 (-.26 hot and high) and .2 a share of flow."""
     curves = {
         name: [at_zero + 0.2 * share]
-        for where, at_zero in (("p20", -0.30), ("middle", -0.28), ("hot_high", -0.26))
+        for where, at_zero in (("p20", -0.30), ("hot_high", -0.26))
         for name, share in zip(CRITICAL_DIAMETER[where], FLOWS, strict=True)
     }
     bounds = {name: [widest] for name in WIDEST.values()}
-    parts = dict(zip(CLEAN_PARTS, ([0.01], [0.02], [0.04]), strict=True))
-    demand = flights(1, **curves, **bounds, **parts, cc_flow_asked_kg_s=[0.8], cc_speed_limit_met=[limit_met])
+    demand = flights(1, **curves, **bounds, cc_flow_asked_kg_s=[0.8], cc_speed_limit_met=[limit_met])
     wide = flights(
         1, cc_diameter_loss=[loss], cc_diameter_loss_sd=[0.006], diameter_m=[0.16 * (1 - loss)],
         expected_diameter_m=[0.16], cc_life=[0],
@@ -93,14 +92,12 @@ def delivery(*, loss: float = 0.04, limit_met: bool = True, widest: float = 2.0)
 
 def test_compressor_margin_is_the_flow_beyond_what_is_asked():
     row, left = delivery(), log(0.96)
-    hard, middle, hot = (0.8 * ((left + at) / 0.2 - 1.0) for at in (0.30, 0.28, 0.26))
+    hard, hot = (0.8 * ((left + at) / 0.2 - 1.0) for at in (0.30, 0.26))
     sd = 0.8 / 0.2 * hypot(0.006, 0.0025)
     assert row["cc_ln_diameter_ratio"] == pytest.approx(left)
     assert row["cc_flow_margin_kg_s"] == pytest.approx(hard)
     assert row["cc_flow_margin_hot_high_kg_s"] == pytest.approx(hot)
     assert (row["cc_flow_margin_sd_kg_s"], row["cc_flow_margin_hot_high_sd_kg_s"]) == pytest.approx((sd, sd))
-    assert row["cc_flow_margin_wear_kg_s"] == pytest.approx(middle - 0.07)
-    assert row["cc_flow_margin_profile_kg_s"] == pytest.approx(hard - middle)
     spare = 1.0 - exp(-0.10 - left)
     assert row["cc_diameter_left"] == pytest.approx(spare)
     assert row["cc_diameter_left_sd"] == pytest.approx((1.0 - spare) * hypot(0.006, 0.0025))
