@@ -99,10 +99,10 @@ nothing)."""
 AIR_DATA = ("altitude_ft", "mach", "tat_degc", "pt_psia")
 
 
-def draw_biases(rng: np.random.Generator, packs: int = 2) -> list[dict[str, float]]:
-    """Draw constant errors of one aircraft's sensors, one dict a pack; air data are shared by the packs."""
+def draw_biases(rng: np.random.Generator) -> list[dict[str, float]]:
+    """Draw constant errors of one aircraft's sensors, one dict for each of two packs, which share air data."""
     air_biases = {name: SENSORS[name].bias_sd * rng.standard_normal() for name in AIR_DATA}
-    return [{n: air_biases.get(n, s.bias_sd * rng.standard_normal()) for n, s in SENSORS.items()} for _ in range(packs)]
+    return [{n: air_biases.get(n, s.bias_sd * rng.standard_normal()) for n, s in SENSORS.items()} for _ in range(2)]
 
 
 def record(
@@ -128,20 +128,6 @@ def record(
         reading = np.round(reading / step) * step
         out[name] = np.where(rng.random(value.size) < suite.lost_share, np.nan, reading)
     return out
-
-
-def break_sensor(
-    rng: np.random.Generator,
-    values: Array,
-    *,
-    flight: Array,
-    faulty: Array,
-    kind: str,
-    noise: float,
-) -> Array:
-    """Apply a sensor fault of random size on the flights where `faulty` (per row) holds."""
-    size = rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 15.0) * noise
-    return with_sensor_fault(rng, values, flight=flight, faulty=faulty, kind=kind, size=size)
 
 
 def with_sensor_fault(

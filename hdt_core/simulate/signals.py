@@ -22,7 +22,18 @@ from hdt_core.simulate.packs import (
     sized_target_k,
     target_k,
 )
-from hdt_core.simulate.recorder import CONTRACT, FOOT, LB_PER_MIN, PSI, RPM, SENSORS, Suite, break_sensor, frame, record
+from hdt_core.simulate.recorder import (
+    CONTRACT,
+    FOOT,
+    LB_PER_MIN,
+    PSI,
+    RPM,
+    SENSORS,
+    Suite,
+    frame,
+    record,
+    with_sensor_fault,
+)
 from hdt_core.simulate.unit_histories import PackHistory
 
 ZERO_C = 273.15
@@ -142,8 +153,9 @@ def pack_rows(
             faulty = ((history.sensor == name) & (history.fault == kind))[now.flight]
             if faulty.any():
                 typical = SENSORS[name].noise_sd * (np.nanmedian(readings[name]) if SENSORS[name].relative else 1.0)
-                readings[name] = break_sensor(
-                    rng, readings[name], flight=now.flight, faulty=faulty, kind=str(kind), noise=float(typical)
+                size = rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 15.0) * float(typical)
+                readings[name] = with_sensor_fault(
+                    rng, readings[name], flight=now.flight, faulty=faulty, kind=str(kind), size=size
                 )
     wrong = rng.random(now.mach.size) < plan.operator.wrong_phase_share
     phase = np.where(wrong, rng.choice(_PHASES, now.mach.size), now.phase)
