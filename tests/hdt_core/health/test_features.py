@@ -8,8 +8,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
-from hdt_core.health.features import features, residual_column, since_maintenance
-from hdt_core.health.virtual_sensors import virtual_sensors
+from hdt_core.health.features import features, residual_column, since_maintenance, virtual_sensors
 from hdt_core.tables.residuals import Residuals
 
 START = datetime(2024, 3, 1, 6, tzinfo=UTC)
