@@ -41,14 +41,19 @@ def lay_out(
     maintenance: pl.DataFrame,
     component: str,
     actions: Sequence[str] = RENEWALS,
+    unchecked: Array | None = None,
 ) -> FlightPanel:
-    """Lay out ratio, variance and exposure of each row of `flights` (in order), and the log of a component."""
+    """Lay out ratio, variance and exposure of each row of `flights` (in order), and the log of a component.
+
+    Without `unchecked` no sensor is redundant.
+    """
     packs = split_packs(flights)
     index = np.full((max(map(len, packs)), len(packs) if flights.height else 0), -1)
     for pack, rows in enumerate(packs):
         index[: len(rows), pack : pack + 1] = rows[:, None]
     log = (*log_flags(flights, maintenance, component, actions), log_kept(flights, maintenance))
-    columns = zip((*observations, *log), (np.nan, 1.0, 1.0, 0, 0, 0), strict=True)
+    share = np.ones(flights.height) if unchecked is None else unchecked
+    columns = zip((*observations, *log, share), (np.nan, 1.0, 1.0, 0, 0, 0, 1.0), strict=True)
     return FlightPanel(
         index, Observation(*(np.where(index >= 0, values[np.maximum(index, 0)], empty) for values, empty in columns))
     )

@@ -176,10 +176,15 @@ def apply_log(b: Hypotheses, flight: Observation, settings: Settings) -> Hypothe
 
 
 def branch_on_surprise(
-    b: Hypotheses, residual: Array, is_surprising: Array, log_entry: Array, settings: Settings
+    b: Hypotheses, residual: Array, is_surprising: Array, log_entry: Array, unchecked: Array, settings: Settings
 ) -> list[Hypotheses]:
-    """Branch for a surprising flight, or for one on whose day the log names a wash or a new core."""
+    """Branch for a surprising flight, or for one on whose day the log names a wash or a new core.
+
+    A fault is the less likely the more of the ratio's sensors others vouch for: a step that they do not share is the
+    core's.
+    """
     is_below, is_above = is_surprising & (residual < 0.0), is_surprising & (residual > 0.0)
+    may_fault = is_surprising & ~b.faulty
     is_without_entry = is_above & (log_entry == NOTHING)
     wash = _wash(b.at(log_entry == WASH), WASH_LEAVES, WASH_LEAVES_SD, settings)
     unlogged_units = (u._replace(unlogged=u.pack >= 0) for u in _renew(b.at(is_without_entry), settings))
@@ -190,12 +195,12 @@ def branch_on_surprise(
         _chance(_wash(b.at(is_without_entry), RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
         _chance(_add_wear(b.at(is_below), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
         _chance(_add_wear(b.at(is_below), *settings.clog), CHANCE["clog"]),
-        _chance(_begin_fault(b.at(is_surprising & ~b.faulty)), settings.fault_chance),
+        _chance(_begin_fault(b.at(may_fault)), settings.fault_chance * unchecked[may_fault]),
         _chance(_end_fault(b.at(is_surprising & b.faulty)), CHANCE["fault_over"]),
     ]
 
 
-def _chance(b: Hypotheses, chance: float) -> Hypotheses:
+def _chance(b: Hypotheses, chance: Array | float) -> Hypotheses:
     return b._replace(log_weight=b.log_weight + np.log(chance))
 
 

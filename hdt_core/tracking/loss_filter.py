@@ -27,8 +27,9 @@ class TrackResult(NamedTuple):
 class Loss(NamedTuple):
     """A component's loss to track over flights, which stand in order.
 
-    `observations` are ratio, variance and exposure of each flight (see `wear_model.Observation`), wear in units of
-    `size`; `more_variance` (n,) adds to that of the filtered ln loss; `status` is the rows'.
+    `observations` are ratio, variance and exposure of each flight, and `unchecked` the share of its sensors that none
+    vouches for (see `wear_model.Observation`), wear in units of `size`; `more_variance` (n,) adds to that of the
+    filtered ln loss; `status` is the rows'.
     """
 
     component: Component
@@ -38,6 +39,7 @@ class Loss(NamedTuple):
     observations: tuple[Array, Array, Array]
     status: pl.Expr
     more_variance: tuple[Array, ...] = ()
+    unchecked: Array | None = None
 
     @property
     def parameters(self) -> dict[str, str]:
@@ -63,7 +65,7 @@ def track_loss(
         All else that results rest on.
     """
     code = loss.component.code
-    panel = lay_out(flights, loss.observations, maintenance, code, loss.component.ended_by)
+    panel = lay_out(flights, loss.observations, maintenance, code, loss.component.ended_by, loss.unchecked)
     names = flights.select(pl.concat_str("flight_id", loss.status, separator="="))[:, 0].to_list()
     digests = fingerprints(panel, list(loss.more_variance), names, f"{seal}|{loss.settings}", SEGMENT_FLIGHTS)
     packs = flights.select(PACK).unique(maintain_order=True)

@@ -61,7 +61,9 @@ def step(hypotheses: Hypotheses, flight: Observation, settings: Settings) -> tup
     if is_surprising.any() or has_entry.any():
         log_entry = np.where(has_entry, observations.log_open, NOTHING)
         stays = prior._replace(log_weight=prior.log_weight + np.where(has_entry, np.log1p(-RENEWAL_LOGGED), 0.0))
-        branches = join([stays, *branch_on_surprise(prior, residual, is_surprising, log_entry, settings)])
+        branches = join(
+            [stays, *branch_on_surprise(prior, residual, is_surprising, log_entry, observations.unchecked, settings)]
+        )
     branches = branches.at(np.argsort(branches.pack, kind="stable"))
     belief, evidence = update(branches.belief, flight.of(branches.pack), settings.level)
     log_weight = branches.log_weight + evidence

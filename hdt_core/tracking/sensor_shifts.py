@@ -46,24 +46,28 @@ REDUNDANT_SENSORS = (
 )
 GATE_SD = 4.0
 RATIO_MEMORY, SHIFT_MEMORY = 6.0, 8.0
-MIN_CONFIRM = 2
+MIN_CONFIRM, LEAST_USUAL = 2, 5
 SHARE_LOW, SHARE_HIGH = 0.4, 2.0
 SHIFT_SD = 0.15
 """Part of a correction that may be wrong."""
+N_SENSORS = 5
+"""Sensors whose errors move the conductance ratio: hot inlet and outlet, pack flow, TAT, door position."""
 
 
 class Corrections(NamedTuple):
-    """For each row: ln ratio to subtract, its variance, and whether a sensor is at fault. (n,)"""
+    """For each row: ln ratio to subtract, its variance, whether a sensor is at fault, and the share of the ratio's
+    sensors that no quiet difference vouches for. (n,)"""
 
     shift: Array
     variance: Array
     fault: Array
+    unchecked: Array
 
 
 def corrections(flights: pl.DataFrame) -> Corrections:
     """Estimate what sensor faults add to the ln conductance ratio of each row, from it and earlier rows, in order."""
     n = flights.height
-    total = Corrections(np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool))
+    total = Corrections(np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool), np.ones(n))
     table = join_other_pack(flights, ["tat_apart_k"] if "tat_apart_k" in flights.columns else [])
     ratio = table["ln_ua_ratio"].to_numpy().astype(float)
     for sensor in REDUNDANT_SENSORS:
@@ -75,7 +79,8 @@ def corrections(flights: pl.DataFrame) -> Corrections:
         confirmation = table[column].to_numpy().astype(float) if column else np.full(n, np.nan)
         for rows in split_packs(flights):
             series = (values[rows].tolist() for values in (difference, slope, ratio - total.shift, confirmation))
-            shift = np.array(_follow_difference(sensor, *series))
+            shift, is_quiet = map(np.array, _follow_difference(sensor, *series))
+            total.unchecked[rows] -= is_quiet / N_SENSORS
             total.shift[rows] += shift
             total.variance[rows] += (SHIFT_SD * shift) ** 2
             total.fault[rows] |= shift != 0.0
@@ -84,19 +89,20 @@ def corrections(flights: pl.DataFrame) -> Corrections:
 
 def _follow_difference(
     sensor: RedundantSensor, difference: list[float], slope: list[float], ratio: list[float], confirmation: list[float]
-) -> list[float]:
-    """Follow one difference along a pack; return the correction of each flight, from it and earlier ones.
+) -> tuple[list[float], list[bool]]:
+    """Follow one difference along a pack; return the correction of each flight, from it and earlier ones, and whether
+    the difference is at its usual level.
 
     Plain numbers: one by one they take a third of the time of NumPy's.
     """
-    shift = [0.0] * len(difference)
+    shift, is_quiet = [0.0] * len(difference), [False] * len(difference)
     usual, last, sd, n_usual, confirmation_mean, n_confirmation = 0.0, 0.0, sensor.threshold / GATE_SD, 0, 0.0, 0
     ratio_mean, n_off, n_back, sign, fault, level = nan, 0, 2, 0.0, False, 0.0
     second, n_second = 0.0, 0
     for k in range(len(difference)):
         deviation = difference[k] - usual
         if isfinite(deviation):
-            if n_usual >= 5 and abs(deviation) > max(sensor.threshold, GATE_SD * sd):
+            if n_usual >= LEAST_USUAL and abs(deviation) > max(sensor.threshold, GATE_SD * sd):
                 n_off = n_off + 1 if copysign(1.0, deviation) == sign else 1
                 sign, n_back = copysign(1.0, deviation), 0
                 level = deviation if n_off == 1 else level + (deviation - level) / min(n_off, SHIFT_MEMORY)
@@ -120,12 +126,13 @@ def _follow_difference(
                 if isfinite(confirmation[k]):
                     n_confirmation += 1
                     confirmation_mean += (confirmation[k] - confirmation_mean) / min(n_confirmation, sensor.memory)
+        is_quiet[k] = isfinite(deviation) and n_usual >= LEAST_USUAL and n_off == 0
         if fault and n_back == 0 and isfinite(slope[k]):
             shift[k] = slope[k] * level
         if isfinite(ratio[k]) and (n_off == 0 or fault) and n_back != 1:
             value = ratio[k] - shift[k]
             ratio_mean = value if isnan(ratio_mean) else ratio_mean + (value - ratio_mean) / RATIO_MEMORY
-    return shift
+    return shift, is_quiet
 
 
 def _explains(effect: float, change: float) -> bool:

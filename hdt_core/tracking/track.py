@@ -64,4 +64,4 @@ def exchanger_loss(flights: pl.DataFrame, faults: Corrections, dsm: Dsm) -> Loss
     )  # fmt: skip
     settings = Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
     observations, more_variance = (ratio, variance, exposure), (map_sd**2, faults.variance)
-    return Loss(HX, HX.model.param(HX.loss), 1.0, settings, observations, status, more_variance)
+    return Loss(HX, HX.model.param(HX.loss), 1.0, settings, observations, status, more_variance, faults.unchecked)

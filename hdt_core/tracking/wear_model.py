@@ -43,7 +43,9 @@ EARLY_FLIGHTS = 20.0
 WEAR_STEP = 7e-4
 MAP_SD, MAP_FLIGHTS = 0.005, 40.0
 """Slow error of the model itself: weather and season move along the map, which is not quite the duct's."""
-CLOG, FAULT_CHANCE = (0.13, 0.08), 1 / 2000
+CLOG, FAULT_CHANCE = (0.17, 0.17), 1 / 700
+"""Ln loss of a sudden clog and its spread, of any size: from a leaf to a bag. Chance of a fault on a flight: each of
+five sensors fails once in 3,500."""
 FAULT_STEP = 0.005
 """A sensor that drifts does so within a hundred flights."""
 OUTLIER_SHARE, OUTLIER_SD = 0.01, 0.3
@@ -84,6 +86,7 @@ class Observation(NamedTuple):
 
     `exposure` is the clean conductance of the flight over that of the reference condition: see `at_reference`.
     `log_open` (a renewal is possible), `log_due` (it is due), `log_kept` (a log is kept): see `records.renewals`.
+    `unchecked` is the share of the ratio's sensors that no other vouches for: see `sensor_shifts.Corrections`.
     """
 
     ratio: Array
@@ -92,6 +95,7 @@ class Observation(NamedTuple):
     log_open: Array
     log_due: Array
     log_kept: Array
+    unchecked: Array
 
     def of(self, rows: Array | tuple[Array, Array]) -> "Observation":
         """Select observations by an index of the arrays."""

@@ -18,7 +18,7 @@ def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, liter
     loss = exchanger_loss(flights, corrections(flights), dsm)
     if not literal:
         return track_loss(flights, maintenance, loss).health
-    panel = lay_out(flights, loss.observations, maintenance, HX.code)
+    panel = lay_out(flights, loss.observations, maintenance, HX.code, unchecked=loss.unchecked)
     level, sd = np.empty(panel.n_rows), np.empty(panel.n_rows)
     for pack in range(panel.row.shape[1]):
         hypotheses = start(loss.settings)

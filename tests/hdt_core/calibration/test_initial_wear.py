@@ -97,5 +97,7 @@ def test_a_deposit_in_series_is_brought_to_the_reference(wear):
     film = (np.exp(wear) - 1.0) / 1700.0
     ratio = -np.log1p(film * clean)
     none = np.zeros(3, dtype=int)
-    observed = at_reference(Observation(ratio, np.ones(3), clean / 1700.0, none, none, none), np.full(3, wear))
+    observed = at_reference(
+        Observation(ratio, np.ones(3), clean / 1700.0, none, none, none, np.ones(3)), np.full(3, wear)
+    )
     np.testing.assert_allclose(observed.ratio, -wear, atol=1e-12)

@@ -24,7 +24,9 @@ def twin_flights() -> pl.DataFrame:
 
 @pytest.fixture
 def faults() -> Corrections:
-    return Corrections(np.array([0.0, 0.0, -0.05, 0.0]), np.array([0.0, 0.0, 1e-4, 0.0]), np.array([0, 0, 1, 0]) > 0)
+    return Corrections(
+        np.array([0.0, 0.0, -0.05, 0.0]), np.array([0.0, 0.0, 1e-4, 0.0]), np.array([0, 0, 1, 0]) > 0, np.ones(4)
+    )
 
 
 def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.DataFrame) -> FlightPanel:

@@ -18,7 +18,7 @@ def panel(first: np.ndarray, second: np.ndarray) -> FlightPanel:
     row = np.column_stack([np.arange(n), np.where(np.arange(n) < m, n + np.arange(n), -1)])
     ratio = np.column_stack([first, np.r_[second, np.full(n - m, np.nan)]])
     flat = np.zeros((n, 2))
-    return FlightPanel(row, Observation(ratio, flat + 4e-4, flat + 1.0, flat, flat, flat))
+    return FlightPanel(row, Observation(ratio, flat + 4e-4, flat + 1.0, flat, flat, flat, flat + 1.0))
 
 
 @pytest.fixture(scope="module")

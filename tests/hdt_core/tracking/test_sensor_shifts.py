@@ -47,6 +47,15 @@ def test_what_is_taken_out_has_the_sign_of_the_error_and_a_seventh_of_it_as_doub
     assert result.fault.tolist() == [False] * 11 + [True]
 
 
+def test_a_difference_at_its_usual_level_vouches_for_one_sensor_of_five():
+    """Once five flights have shown its level, where it is measured and does not depart."""
+    apart = [*QUIET, 0.0, float("nan"), 5.0, 0.0]
+    result = corrections(flights("exit_apart_k", apart, [0.0] * 14))
+    np.testing.assert_allclose(result.unchecked, [1.0] * 4 + [0.8] * 7 + [1.0, 1.0, 0.8])
+    silent = flights("exit_apart_k", apart, [0.0] * 14).drop("exit_apart_k")
+    np.testing.assert_allclose(corrections(silent).unchecked, 1.0)
+
+
 @pytest.mark.parametrize(("share", "blamed"), [(0.39, False), (0.41, True), (1.99, True), (2.0, False), (-1, False)])
 def test_the_ratio_must_move_with_it(share, blamed):
     assert any(shift("exit_apart_k", [4.0] * 3, [-0.2 * share] * 3)) == blamed

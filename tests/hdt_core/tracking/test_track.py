@@ -141,6 +141,25 @@ def test_a_clog_is_believed(model):
     np.testing.assert_allclose(rows["value"].to_numpy()[-1], 0.25, atol=0.05)
 
 
+def test_a_step_is_followed_within_two_flights_where_other_sensors_vouch_for_those_of_the_ratio(model):
+    """A blockage of 37 % for six flights, three redundant sensors quiet and without any."""
+    loss = np.r_[np.full(60, 0.09), np.full(6, 0.37), np.full(10, 0.0)]
+    twin = flights_with_loss(model, loss)
+    quiet = twin.with_columns(
+        exit_apart_k=pl.lit(0.1),
+        flows_apart_ln=pl.lit(0.001),
+        tat_apart_k=pl.lit(-0.05),
+        ratio_per_exit_k=pl.lit(-0.05),
+        ratio_per_ln_flow=pl.lit(0.8),
+        ratio_per_tat_k=pl.lit(0.026),
+    )
+    vouched, alone = (fouling(frame, NO_LOG, model) for frame in (quiet, twin))
+    np.testing.assert_allclose(vouched["value"].to_numpy()[61:66], 0.37, atol=0.07)
+    assert (np.abs(vouched["value"].to_numpy()[61:66] - 0.37) < vouched["sd"].to_numpy()[61:66]).all()
+    assert (vouched["sd"].to_numpy()[61:66] < alone["sd"].to_numpy()[61:66]).all()
+    assert (np.abs(alone["value"].to_numpy()[61:66] - 0.37) < 1.645 * alone["sd"].to_numpy()[61:66]).all()
+
+
 def test_looking_back_knows_more(model):
     rng = np.random.default_rng(11)
     sensors_sd = np.sqrt(model.offset_sd**2 - 0.03**2)

@@ -13,6 +13,8 @@ from hdt_core.tracking.segments import smooth
 from hdt_core.tracking.wear_model import Observation, Settings
 
 PACES = [(0.45, 1.5e-4, 2e-4, 4e-5, 4e-5), (0.45, 1e-3, 8e-4, 6e-5, 6e-5), (0.10, 6e-3, 4e-3, 6e-5, 5e-4)]
+UNCHECKED = 0.6
+"""Share of the ratio's sensors that no other vouches for."""
 ENTRY = [(0.50, 0.004, 0.005), (0.20, 0.030, 0.020), (0.18, 0.090, 0.040), (0.12, 0.200, 0.080)]
 SETTINGS = Settings(level=0.02, level_sd=0.01, offset_sd=0.05)
 ROW = np.array([-1.0, 0.0, 1.0, 1.0, 1.0])
@@ -91,7 +93,7 @@ def branched(h: One, ratio: float, variance: float, opened: int) -> list[One]:
     if surprised and off > 0 and not open_kind:
         children += [*renewed(h, 1 / 400, True), washed(h, 1 / 2000, 0.35, 0.3)]
     if surprised and off < 0:
-        children += [worn(h, 1 / 200, 0.02, 0.02), worn(h, 1 / 2000, 0.13, 0.08)]
+        children += [worn(h, 1 / 200, 0.02, 0.02), worn(h, 1 / 2000, 0.17, 0.17)]
     if surprised and h.faulty:
         mask = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
         p = mask @ h.p @ mask + np.diag([0, 0, 0, 0, 0.005**2])
@@ -99,7 +101,7 @@ def branched(h: One, ratio: float, variance: float, opened: int) -> list[One]:
         children.append(h._replace(lw=h.lw + np.log(1 / 30), m=mask @ h.m, p=p, faulty=False, event=event))
     elif surprised:
         p = h.p + np.diag([0, 0, 0, 0, 0.2**2])
-        children.append(h._replace(lw=h.lw + np.log(1 / 2000), p=p, faulty=True))
+        children.append(h._replace(lw=h.lw + np.log(UNCHECKED / 700), p=p, faulty=True))
     return children
 
 
@@ -173,7 +175,7 @@ def flown(request: pytest.FixtureRequest) -> tuple[list[list[One]], list[Hypothe
             patched.setattr(hy, name, value)
         for ratio, exposure, *log in CASES[request.param]:
             enumerated.append(one_flight(enumerated[-1], ratio, 5e-4, exposure, *log))
-            observation = Observation(*(np.array([v]) for v in (ratio, 5e-4, exposure, *log)))
+            observation = Observation(*(np.array([v]) for v in (ratio, 5e-4, exposure, *log, UNCHECKED)))
             after, branching = mmf.step(filtered[-1], observation, SETTINGS)
             filtered.append(after)
             branchings.append(branching)
