@@ -17,11 +17,11 @@ from scipy.optimize import least_squares
 
 from benchmarks.harness import Texts, race_table, run
 from hdt_benchmark.exchanger import ExchangerSamples, fit_lumped_log
-from hdt_benchmark.lumped_exchanger import lumped_exchanger, steady_outlets_k
 from hdt_benchmark.peers import conductance_claim
 from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
+from hdt_core.physics.lumped_exchanger import lumped_exchanger, steady_outlets_k
 
 SECONDS, MASS_KG = 3600, 8.0
 NOMINAL_H_W_K = 2500.0

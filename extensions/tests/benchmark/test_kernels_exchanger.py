@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_log
-from hdt_benchmark.lumped_exchanger import lumped_exchanger, steady_outlets_k
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates, clean_conductance_w_k, outlets_k
+from hdt_core.physics.lumped_exchanger import lumped_exchanger, steady_outlets_k
 
 COLUMNS = ("hot_flow_kg_s", "ram_flow_kg_s", "hot_in_k", "hot_out_k", "cold_in_k", "weight_per_k2")
 DESIGN = {p.name: p.nominal for p in HEAT_EXCHANGER.free("design")}

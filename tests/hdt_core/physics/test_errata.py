@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hdt_benchmark.lumped_exchanger import tied_coefficient_w_k
 from hdt_core.physics.compressor import expected_diameter_m
 from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.lumped_exchanger import tied_coefficient_w_k
 
 ERRATA = (Path(__file__).parents[3] / "docs" / "errata.md").read_text(encoding="utf-8")
 
