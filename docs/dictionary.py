@@ -19,14 +19,12 @@ from pipelines.storage.publication import order_views, publish, views
 _TITLE = """# Data dictionary
 
 Written by `python -m docs.dictionary docs/data-dictionary.md` from the declared tables (`hdt_core/tables`) and
-the headers of the views (`sql/views`); change those, not this page. Times are UTC, units SI unless stated, a missing
-value is NULL, never NaN. Start with the six views that `select * from start_here` names. Each column is explained
-where it first occurs; later sections name it under "As above". Columns that differ by a number or by the column they
-describe (`*`) share a line. `x_sd` is the standard deviation of `x`, `x_status` how its estimate ended; both are
-listed only where there is more to say. A column without a type is a `double`; a `bigint` where its name begins with
-`n_`, a `timestamptz` where it ends in `_at`, a `date` in `_on`, a `varchar` in `_id` or `status`. Every meaning is a
-comment in the catalog, too, where columns of tables and of components of your own are explained (`select column_name,
-comment from duckdb_columns() where table_name = 'twin_flights'`).
+the headers of the views (`sql/views`). Times are UTC, units SI unless stated, a missing value is NULL. Each column is
+explained where it first occurs; later sections name it under "As above". Columns that differ by a number or by the
+column they describe (`*`) share a line. `x_sd` is the standard deviation of `x`, `x_status` how its estimate ended. A
+column without a type is a `double`; a `bigint` where its name begins with `n_`, a `timestamptz` where it ends in
+`_at`, a `date` in `_on`, a `varchar` in `_id` or `status`. Columns of tables and of components of your own are
+explained in the catalog (`select column_name, comment from duckdb_columns() where table_name = 'twin_flights'`).
 """
 _KEYS = ("operator", "tail", "flight_id", "pack", "component", "departed_at", "departed_on")
 """Columns of the view `prognoses` that most views and tables have: explained once, on top."""

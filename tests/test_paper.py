@@ -96,7 +96,7 @@ def test_methods_that_the_paper_cites_are_where_it_says():
 
 NOMENCLATURE = [
     [cell.strip() for cell in line.strip("|").split("|")]
-    for line in (ROOT / "docs" / "nomenclature.md").read_text(encoding="utf-8").splitlines()
+    for line in (ROOT / "docs/theory.md").read_text(encoding="utf-8").split("## Nomenclature")[1].splitlines()
     if line.startswith("| ") and "`" in line
 ]
 TERMS = {name: (row[2], row[4].strip("`")) for row in NOMENCLATURE for name in re.findall(r"`(\w+)`", row[1])}

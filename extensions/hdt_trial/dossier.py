@@ -213,8 +213,8 @@ def _trial(home: Path) -> tuple[Part, ...]:
 
 def _own_papers() -> list[Path]:
     """Return the project's limits and change log; a wheel lacks the latter, which must then be attached."""
-    package = Path(__file__).parents[1]
-    return [path for path in (package / "docs/limits.md", package.parent / "CHANGELOG.md") if path.is_file()]
+    pages = Path(str(resources.files("pipelines") / "docs")).resolve()  # in a checkout a link to the folder docs
+    return [path for path in (pages / "limits.md", pages.parent / "CHANGELOG.md") if path.is_file()]
 
 
 def _attachment(path: Path) -> Part:

@@ -21,7 +21,7 @@ from soundness import faults
 from pipelines.storage.catalog import connect
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs/howto-component.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/howto-component.md").read_text(encoding="utf-8").split("## Physics from an FMU")[0]
 HDT = Path(sys.executable).parent / "hdt"
 COMPRESSOR = '''
 """An air compressor that supplies nitrogen generation: isentropic efficiency, of which wear takes a share."""

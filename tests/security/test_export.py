@@ -260,7 +260,7 @@ def test_what_is_wrong_is_said_in_one_line_without_the_key(home, tmp_path, monke
 
 # --- the page ------------------------------------------------------------------------------------------------------
 
-PAGE = (Path(__file__).parents[2] / "docs/howto-export.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs/catalog.md").read_text()
 READERS = dict(re.findall(r"^```python\n((?:import (\w+).*\n)(?:.*\n)*?)^```", PAGE, re.MULTILINE))
 
 

@@ -24,7 +24,7 @@ def page() -> dict[str, Any]:
     """Names that the how-to leaves, its printed numbers checked on the way."""
     with pytest.MonkeyPatch.context() as patched:
         patched.chdir(Path(__file__).parents[3])
-        return walk("howto-fault-injection.md")
+        return walk("howto-trial.md")
 
 
 @pytest.fixture(scope="module")

@@ -136,4 +136,4 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch):
 
 def test_the_how_to_runs(fmu, monkeypatch):
     monkeypatch.chdir(fmu.parent)
-    assert walk("howto-fmu.md")["found"].status == "converged"
+    assert walk("howto-component.md", "Physics from an FMU")["estimate"].status == "converged"

@@ -248,7 +248,7 @@ def test_the_command(own_home, tmp_path, capsys):
     dossier = (tmp_path / "dossier.html").read_text()
     assert {
         word
-        for word in ("1 Data lineage", "HX_FOULING", "estimation/fit.py CHANCE", "AQX", digest)
+        for word in ("1 Data lineage", "Attached: limits.md", "HX_FOULING", "estimation/fit.py CHANCE", "AQX", digest)
         if word not in dossier
     } == set()
     entry = home / "trial/00001.json"

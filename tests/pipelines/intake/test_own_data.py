@@ -16,7 +16,7 @@ NOW = datetime(2026, 1, 1, tzinfo=UTC)
 
 def test_the_flight_of_the_how_to_is_taken_in_as_the_recorder_gave_it(monkeypatch):
     monkeypatch.chdir(ROOT)
-    page = walk("howto-own-data.md")
+    page = walk("raw-data.md")
     written, sample = list_landing(page["landing"]), list_landing(ROOT / "data_samples")
     mine = read_snapshots([f for f in written.files if f.tail == "9H-XYZ"], NOW)
     same = read_snapshots([f for f in sample.files if f"data_samples/{f.path}" == page["sample"]], NOW)
