@@ -87,17 +87,12 @@ def test_the_compressor_as_built_is_identified_within_a_tenth():
 
 def test_levels_and_biases_by_operator_and_pack():
     levels = (PooledLevel("TST", None, None, "hx_ua_reference_w_k", 1800.0, 100.0, 20),
-              PooledLevel("TST", "A", 1, "hx_ua_reference_w_k", 1700.0, 171.0, 10))  # fmt: skip
+              PooledLevel("TST", "A", 1, "hx_ua_reference_w_k", 1700.0, 170.0, 10))  # fmt: skip
     dsm = replace(with_bias(("A", 1), hx_out_k=0.7), levels=levels)
     fleet, own = row("hx_ua_reference_w_k", dsm, scope="operator"), row("hx_ua_reference_w_k", dsm, scope="tail")
-    assert (fleet["value"], fleet["tail"], fleet["identifiable"]) == (1800.0, None, True)
-    assert (own["value"], own["sd"], own["pack"], own["identifiable"], own["n_flights"]) == (
-        1700.0,
-        171.0,
-        1,
-        False,
-        10,
-    )
+    assert (fleet["component"], fleet["value"], fleet["tail"], fleet["identifiable"]) == ("HX", 1800.0, None, True)
+    # a tenth itself does not identify
+    assert (own["value"], own["sd"], own["pack"], own["identifiable"], own["n_flights"]) == (1700, 170, 1, False, 10)
     biases = design_parameters(dsm).filter(scope="tail", tail="A").filter(parameter="bias_hx_out_k").row(0, named=True)
     assert (biases["value"], biases["sd"], biases["unit"], biases["n_flights"]) == (0.7, 1.0, "K", 10)
     assert row("bias_pack_flow_kg_s", dsm)["unit"] == row("bias_ram_door_open", dsm)["unit"] == "-"

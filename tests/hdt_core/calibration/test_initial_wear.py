@@ -8,7 +8,7 @@ import pytest
 from by_hand import DSM, flights, log
 from scipy.stats import norm
 
-from hdt_core.calibration.initial_wear import entry_posterior, fleet_levels
+from hdt_core.calibration.initial_wear import _clean_units, entry_posterior, fleet_levels
 from hdt_core.tracking.wear_model import Observation, at_reference
 
 ENTRY = [(0.50, 0.004, 0.005), (0.20, 0.030, 0.020), (0.18, 0.090, 0.040), (0.12, 0.200, 0.080)]
@@ -74,6 +74,13 @@ def test_the_clean_level_is_integrated_over_spread_and_wear():
     # where ratios lie less than 0.06 below the level: the new core of the first pack
     clean = pl.concat(rows).filter(pl.col("ln_ua_ratio") > level - 0.06)["ua_expected_w_k"].median()
     assert fleet_level.reference_ua_w_k == clean
+
+
+def test_a_fleet_of_hundreds_is_within_the_range_of_numbers():
+    """The density of one unit is above 10, that of all together beyond 1e308."""
+    ratios, none = np.tile([0.06, -0.02, 0.01], 100), np.zeros(300, dtype=bool)
+    together = _clean_units(ratios, np.full(300, 1e-4), none)
+    assert together == pytest.approx(clean_units(ratios, [0.01] * 300, none), rel=1e-6)
 
 
 def test_few_flights_keep_the_scatter_and_a_calm_record_has_a_least_one():

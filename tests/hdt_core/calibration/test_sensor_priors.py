@@ -24,7 +24,8 @@ def cruise(**columns: list[float | None]) -> pl.DataFrame:
 
 def test_flow_and_tat_take_their_share_of_what_a_pack_shows_beyond_the_fleet():
     """Pack flow and compressor flow, 2 % each, share evenly; TAT has 0.5 K against 1 K over the root of two packs."""
-    rows = cruise(pack_flow_kg_s=[0.8 * np.exp(0.03), 0.8, 0.8, 0.8], tat_k=[251.0, 252.0, 250.0, 250.0])
+    rows = cruise(pack_flow_kg_s=[0.8 * np.exp(0.03), 0.8, 0.9, 0.9], cc_flow_kg_s=[0.8, 0.8, 0.9, 0.9],
+                  tat_k=[251.0, 252.0, 253.0, 253.0], cc_in_k=[250.0, 250.0, 253.0, 253.0])  # fmt: skip
     mean, sd = sensor_prior(rows, PACKS)
     flow, tat = hx.BIASES.index("pack_flow_kg_s"), hx.BIASES.index("tat_k")
     np.testing.assert_allclose(mean[:, flow], [0.015, 0.0, 0.0, 0.0], atol=1e-12)
@@ -34,7 +35,7 @@ def test_flow_and_tat_take_their_share_of_what_a_pack_shows_beyond_the_fleet():
     np.testing.assert_allclose(sd[:, tat], 0.5 * np.sqrt(1.0 - share))
     three = pl.concat([PACKS[:2], PACKS[:1].with_columns(pack=pl.lit(3, pl.Int32)), PACKS[2:]])
     apart = pl.Series([3.0, 1.0, 0.5, 0.0, 0.0])
-    more = pl.concat([rows[:2], rows[:1], rows[2:]]).with_columns(pack=three["pack"], tat_k=250.0 + apart)
+    more = pl.concat([rows[:2], rows[:1], rows[2:]]).with_columns(pack=three["pack"], tat_k=pl.col("cc_in_k") + apart)
     share = 0.25 / (0.25 + 1.0 / 3.0)
     np.testing.assert_allclose(sensor_prior(more, three)[0][:3, tat], share * 0.0, atol=1e-12)
     np.testing.assert_allclose(sensor_prior(more, three)[0][3:, tat], 0.25 / 0.75 * -1.5)
@@ -52,7 +53,8 @@ def test_without_a_second_sensor_the_declared_error_stands():
 
 def test_the_compressors_probes_take_theirs():
     """Its inlet has 1 K against TAT's 0.5 K: 0.8 of the difference; .3 % of pressure against .2 %: 9/13."""
-    rows = cruise(cc_in_k=[252.0, 250.0, 250.0, 250.0], cc_in_pa=[3e4 * np.exp(0.01), 3e4, 3e4, 3e4])
+    rows = cruise(cc_in_k=[252.0, 250.0, 253.0, 253.0], cc_in_pa=[3e4 * np.exp(0.01), 3e4, 2e4, 2e4],
+                  tat_k=[250.0, 250.0, 253.0, 253.0], total_pressure_pa=[3e4, 3e4, 2e4, 2e4])  # fmt: skip
     corrections = probe_corrections(rows, PACKS)
     np.testing.assert_allclose(corrections["inlet_bias_k"], [1.6, 0.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(corrections["inlet_bias_ln"], [0.01 * 9.0 / 13.0, 0.0, 0.0, 0.0], atol=1e-12)

@@ -10,7 +10,15 @@ from by_hand import flights, log
 
 from hdt_core.components import Component, Limit, Reading, components
 from hdt_core.physics.model import Param, PhysicsModel, Signal
-from hdt_core.tracking.component import DesignOffset, design_prior, scatter_sd, track_component, wear_of, wear_settings
+from hdt_core.tracking.component import (
+    DesignOffset,
+    _loss,
+    design_prior,
+    scatter_sd,
+    track_component,
+    wear_of,
+    wear_settings,
+)
 from hdt_core.tracking.component_readings import component_readings
 
 VALVE = PhysicsModel(
@@ -52,12 +60,19 @@ def test_flights_scatter_as_the_steps_of_their_pack_show(n, scatter):
 
 
 def test_a_flight_that_says_nothing_is_predicted():
+    """One that does, as the wear it has beyond the declared design's: its own deviation, and the least scatter."""
     status = pl.Series(["converged", "diverged", "not_identifiable", "converged"])
     rows = flights(4, valve_loss=[0.01, 0.7, 0.7, 0.02], valve_loss_sd=0.01).with_columns(status=status)
     health = track_component(rows, COMPONENT, log())
     for _, track in health.group_by("parameter"):
         assert track["status"].to_list() == ["ok", "predicted", "predicted", "ok"]
     assert health["value"].max() < 0.1
+    loss = _loss(rows, VALVE.param("valve_loss"), COMPONENT, DesignOffset(0.02))
+    ratio, variance, exposure = loss.observations
+    np.testing.assert_allclose(ratio, (np.log([0.99, np.nan, np.nan, 0.98]) - 0.02) / loss.size)
+    own, nothing = (0.01 / np.array([0.99, 0.98]) / loss.size) ** 2 + 0.005**2, 1.0
+    np.testing.assert_allclose(variance, [own[0], nothing, nothing, own[1]])
+    np.testing.assert_array_equal(exposure, np.ones(4))
 
 
 def test_a_design_has_a_prior_where_the_declaration_says_it_of_each():

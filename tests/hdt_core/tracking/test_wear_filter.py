@@ -161,6 +161,7 @@ CASES = {
     "another core, never logged": [*QUIET[:2], (0.13, 1.0, 0, 0, 0), *[(0.06, 1.0, 0, 0, 1)] * 9, QUIET[0]],
     "replaced by the log": [*QUIET, (0.06, 1.0, 2, 0, 1), (0.07, 1.1, 2, 2, 1), (0.05, 1.0, 0, 0, 1), *QUIET[:2]],
     "washed by the log": [*QUIET, (0.0, 1.0, 1, 0, 1), (0.01, 1.1, 1, 1, 1), (-0.02, 1.0, 0, 0, 1), QUIET[0]],
+    "an entry counts from the ninth flight on, never before": [*QUIET, (-0.09, 1.0, 2, 2, 1), (-0.08, 1.0, 1, 0, 1)],
     "an entry on a silent day": [*QUIET[:2], (NAN, 1.0, 2, 2, 1), *[(0.03, 1.0, 0, 0, 1)] * 3],
 }
 
