@@ -43,14 +43,16 @@ def test_a_smoothed_value_knows_the_end_of_the_next_segment_and_no_more(flown):
     np.testing.assert_allclose(tracks[2:, [111, 167]], tracks[:2, [111, 167]])  # nothing follows the last
 
 
-def test_a_night_goes_on_from_a_checkpoint(flown):
+@pytest.mark.parametrize("segment", [1, 2])
+def test_a_night_goes_on_from_a_checkpoint(flown, segment):
+    """Beside a pack that begins anew, which may have the more flights to come."""
     first, second, tracks = flown
     whole = filter_segments(panel(first, second), SETTINGS, NONE, {})
     assert sorted(whole.checkpoints) == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
-    begin = np.array([1, 0])
+    begin = np.array([segment, 0])
     later = filter_segments(panel(first, second), SETTINGS, begin, whole.checkpoints).tracks
-    assert np.isnan(later[:, :50]).all()
-    np.testing.assert_allclose(later[:, 50:], tracks[:, 50:], rtol=1e-12)
+    assert np.isnan(later[:, : 50 * segment]).all()
+    np.testing.assert_allclose(later[:, 50 * segment :], tracks[:, 50 * segment :], rtol=1e-12)
 
 
 def test_branches_of_one_parent_are_merged_by_their_moments():

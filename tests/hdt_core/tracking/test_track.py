@@ -29,13 +29,6 @@ def test_batched_pass_equals_the_literal_recursion(flights, model):
     assert batched.equals(literal)
 
 
-def test_batched_pass_equals_the_literal_one_where_histories_branch(model):
-    loss = np.r_[np.linspace(0.0, 0.3, 60), np.full(20, 0.55), np.zeros(40)]
-    many = pl.concat([flights_with_loss(model, loss, seed=k, tail=f"S-{k}") for k in range(4)]).sort(IN_ORDER)
-    batched, literal = (fouling(many, NO_LOG, model, literal=way) for way in (False, True))
-    assert batched.equals(literal)
-
-
 def test_later_flights_do_not_change_earlier_estimates(flights, model, fleet):
     cut = flights["departed_at"].min() + timedelta(days=70)
     before = flights.filter(pl.col("departed_at") < cut)
