@@ -291,3 +291,14 @@ def test_where_residuals_contradict_sigma_the_data_count_by_their_own_variance(o
     own_cov = conclude(problem, mean, "converged", 9, cov=own, own_objective=True)
     np.testing.assert_allclose(own_cov.belief.cov, np.linalg.inv(normal) if own is None else own, rtol=1e-6)
     assert np.isnan(own_cov.distance)
+
+
+@pytest.mark.parametrize(("variance", "counted"), [(1.1, 1.1), (0.9, 1.0)])
+def test_of_many_values_a_tenth_more_variance_counts_and_a_tenth_less_does_not(variance, counted):
+    """Four thousand of a constant, with a sigma of 1; residuals lie at both sides of it in turn."""
+    y = np.sqrt(variance * 3999.0 / 4000.0) * (-1.0) ** np.arange(4000)
+    problem = Problem(("x",), np.array([[-9.0, 9.0]]), unknown(np.zeros(1)), y[:, None], np.ones(1),
+                      lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
+    estimate = NonlinearLeastSquares().estimate(problem)
+    assert estimate.belief.cov[0, 0] == pytest.approx(counted / 4000.0)
+    assert estimate.status == "converged"
