@@ -113,10 +113,11 @@ def test_climb_above_2500_m_tells_of_the_door(flown):
     assert twin["door_apart_ln"][0] == pytest.approx(ratio - twin["ln_ua_ratio"][0])
     late = pl.int_range(pl.len()).over("flight_id") == 0
     climb = climb.with_columns(total_pressure_pa=pl.lit(None, pl.Float64))  # by height and Mach number
-    for column, value, n_null in (("altitude_m", 2500.0, 4), ("altitude_m", 2501.0, 2), ("pack_flow_kg_s", 0.2, 4),
-                                  ("pack_flow_kg_s", 0.201, 2), ("phase", "taxi", 4), ("phase", "descent", 2)):  # fmt: skip
-        odd = climb.with_columns(pl.when(late).then(pl.lit(value)).otherwise(column).alias(column))
-        assert estimate_flights(pl.concat([flown, odd]), DSM)["door_apart_ln"].null_count() == n_null
+    limits = {"altitude_m": (2500.0, 2501.0), "pack_flow_kg_s": (0.2, 0.201), "phase": ("taxi", "descent")}
+    for column, (off, on) in limits.items():
+        for value, n_null in ((off, 4), (on, 2)):
+            odd = climb.with_columns(pl.when(late).then(pl.lit(value)).otherwise(column).alias(column))
+            assert estimate_flights(pl.concat([flown, odd]), DSM)["door_apart_ln"].null_count() == n_null
 
 
 @pytest.mark.parametrize(("change", "status"), [
