@@ -48,6 +48,14 @@ def open_instance(base: Path, mark: str, note: str) -> dg.DagsterInstance:
     make_keys_quickly()
     base.mkdir(parents=True, exist_ok=True)
     settings, ours = base / "dagster.yaml", _SETTINGS.format(base=base, mark=mark, note=note)
-    if not settings.exists() or settings.read_text().startswith(mark):
-        settings.write_text(ours)
+    written = settings.read_text() if settings.exists() else ""
+    if written != ours and (written.startswith(mark) or not written):  # a kill of an older version left it empty
+        _replace_text(settings, ours)
     return dg.DagsterInstance.from_config(str(base))
+
+
+def _replace_text(path: Path, text: str) -> None:
+    """Replace a file at once: a process that read it half written would use Dagster's slow event log for its life."""
+    copy = path.with_name(f".{path.name}.{os.getpid()}")
+    copy.write_text(text)
+    copy.replace(path)

@@ -15,6 +15,7 @@ from dagster._core.definitions.partitions.context import partition_loading_conte
 from databases import SERVER, new_database
 
 from dagster_batched import report_partitions
+from dagster_batched.instance import open_instance
 from dagster_batched.partitions import valid_keys
 
 KEPT_IN = {
@@ -353,3 +354,21 @@ def test_an_index_that_a_kill_left_half_made_is_completed(tmp_path, present):
         assert instance.get_dynamic_partitions("aircraft") == ["A"]
         assert dg.materialize([plain], instance=instance).success
         assert instance.get_latest_materialization_event(dg.AssetKey("plain"))
+
+
+def test_no_process_meets_settings_half_written(tmp_path):
+    """Worker processes open the instance side by side; one that read an empty file had stock's event log, and a night
+    that takes seconds took an hour."""
+    settings = tmp_path / "dagster.yaml"
+    for before in ("", "# ours: of a home that was moved"):
+        settings.write_text(before)
+        with settings.open() as other_process, open_instance(tmp_path, "# ours", "made here") as instance:
+            assert type(instance.event_log_storage).__name__ == "BatchedSqliteEventLogStorage"
+            assert other_process.read() == before  # replaced, never emptied
+    written = settings.stat()
+    open_instance(tmp_path, "# ours", "made here").dispose()
+    assert (settings.stat().st_ino, settings.stat().st_mtime_ns) == (written.st_ino, written.st_mtime_ns)
+    settings.write_text("telemetry: {enabled: false}")
+    open_instance(tmp_path, "# ours", "made here").dispose()
+    assert settings.read_text() == "telemetry: {enabled: false}"
+    assert [p.name for p in tmp_path.glob("*dagster.yaml*")] == ["dagster.yaml"]
