@@ -29,6 +29,8 @@ class Recipe:
     ----------
     parents : tuple of str
         Tables whose versions count, in this order.
+    n_cell_parents : int
+        An aircraft or flight with a cell in one of so many first parents has one here.
     files : tuple of str
         Kinds of delivered file whose contents count.
     baseline : bool
@@ -40,6 +42,7 @@ class Recipe:
     """
 
     parents: tuple[str, ...] = ()
+    n_cell_parents: int = 1
     files: tuple[str, ...] = ()
     baseline: bool = False
     settings: tuple[str, ...] = ()
@@ -163,24 +166,6 @@ STAGES = (
         parents=("legs_samples", "calibration_dsm", "calibration_schedules"), code="3",
     ),
     declare_stage(
-        "twin_health", "twin", "twin_health", "twin_checkpoints", parents=("twin_flights", "raw_maintenance"),
-        code="14", fresh="twin_health", label="health, features, alerts",
-    ),
-    declare_stage(  # legs are admitted after the twin, which does not depend on it
-        "legs_admitted", "features", "legs_admitted",
-        parents=(
-            "twin_health", "twin_flights", "legs_indicators", "raw_messages", "raw_maintenance", "raw_reports"
-        ), code="5",
-    ),
-    declare_stage(
-        "features", "features", "features",
-        parents=("twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance"),
-        code="8", fresh="features",
-    ),
-    declare_stage(
-        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="18",
-    ),
-    declare_stage(
         "raw_components", "raw", "raw_components", "raw_components_deliveries", "raw_components_quarantine",
         files=("component", "recorder"), code=f"2 {DECLARED}", untracked=("raw_fleet",),
     ),
@@ -189,23 +174,30 @@ STAGES = (
         parents=("raw_components", "raw_maintenance", "raw_reports"), settings=("terms",), code=f"3 {DECLARED}",
     ),
     declare_stage(
-        "twin_components", "twin", "twin_components", "residuals_components", parents=("calibration_components",),
-        code="5",
+        "twin_health", "twin", "twin_health", "twin_checkpoints", "residuals_components",
+        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2, code="15",
+        fresh="twin_health", label="health, features, alerts",
+    ),
+    declare_stage(  # legs are admitted after the twin, which does not depend on it
+        "legs_admitted", "features", "legs_admitted",
+        parents=(
+            "twin_flights", "twin_health", "legs_indicators", "raw_messages", "raw_maintenance", "raw_reports"
+        ), code="5",
     ),
     declare_stage(
-        "features_components", "features", "features_components", "features_component_alerts",
-        parents=("twin_components",), settings=("limits",), code="6",
+        "features", "features", "features", "features_components",
+        parents=("twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance"),
+        code="8", fresh="features",
+    ),
+    declare_stage(
+        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="19",
     ),
     declare_stage("declared_components", "raw", "components", code=DECLARED),
     declare_stage("prognosis_base", "prognosis", "prognosis_base", code="4", label="prognosis"),
     declare_stage(  # a model is stored with its scored flights, so prognoses come first: a kill between costs only work
         "prognosis", "prognosis", "prognoses", "prognosis_model", "prognosis_lives",
         parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-        code="9", fresh="prognoses",
-    ),
-    declare_stage(
-        "prognoses_components", "prognosis", "prognoses_components", "prognoses_components_lives",
-        parents=("features_components", "raw_messages", "raw_maintenance"), code="2",
+        code="10", fresh="prognoses",
     ),
 )  # fmt: skip
 

@@ -8,6 +8,7 @@ deliveries end in the same state as a clean one.
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from typing import Literal
 
 import polars as pl
 
@@ -42,9 +43,12 @@ def _expected_versions(ledger: Ledger, table: str, parents: Mapping[str, pl.Data
     if not recipe.parents:
         return _with_version(pl.DataFrame({"made_of": [table]}), recipe.code)
     first, *others = (parents[parent] for parent in recipe.parents)
-    for other in others:
+    for place, other in enumerate(others, 1):
         on = [c for c in CELL if c in other.columns]
-        first = first.join(other, on=on, how="left", validate="m:1") if on else first.join(other, how="cross")
+        how: Literal["full", "left"] = "full" if place < recipe.n_cell_parents else "left"
+        first = (
+            first.join(other, on=on, how=how, coalesce=True, validate="m:1") if on else first.join(other, how="cross")
+        )
     settings = (value for name in recipe.settings for value in HOME_SETTINGS[name](ledger.home))
     return _with_version(first, " ".join((recipe.code, *settings)))
 

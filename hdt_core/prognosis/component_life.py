@@ -15,7 +15,7 @@ from hdt_core.margin.first_passage import wear_rate
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, events_ahead, quantile
 from hdt_core.prognosis.model import HORIZON, OUT_OF_FOLD
-from hdt_core.prognosis.unit_lives import component_lives
+from hdt_core.prognosis.unit_lives import component_lives, life_table
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Array
 
@@ -45,6 +45,14 @@ def component_prognoses(
     record, month_at = FleetRecord(rows, messages, maintenance), month_of(rows["departed_at"])
     parts = [_predict(rows.filter(month_at == m), record.as_of(start_of(m)), component) for m in record.months()]
     return pl.concat([_predict(rows.clear(), record, component), *parts]).sort(*PACK, "departed_at", "flight_id")
+
+
+def component_life_table(
+    features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
+) -> pl.DataFrame:
+    """Return `life_table` of a component's units; without a declared message all are censored."""
+    rows = features.filter(component=component.code)
+    return life_table(rows, component_lives(rows, messages, maintenance, component))
 
 
 def _predict(rows: pl.DataFrame, past: FleetRecord, component: Component) -> pl.DataFrame:

@@ -118,14 +118,8 @@ TABLES: dict[str, StoredTable] = {
     "calibration_components": StoredTable(
         components.CalibrationComponents, "aircraft", ("tail", "pack", "component", "parameter")
     ),
-    "twin_components": StoredTable(components.TwinComponents, "aircraft", (*_COMPONENT, "parameter")),
     "residuals_components": StoredTable(components.ResidualsComponents, "aircraft", (*_COMPONENT, "signal", "kind")),
     "features_components": StoredTable(components.FeaturesComponents, "aircraft", _COMPONENT),
-    "features_component_alerts": StoredTable(components.FeaturesComponentAlerts, "aircraft", ("raised_at", "alert_id")),
-    "prognoses_components": StoredTable(components.PrognosesComponents, "fleet", ("operator", "tail", *_COMPONENT)),
-    "prognoses_components_lives": StoredTable(
-        components.PrognosesComponentsLives, "fleet", ("operator", "tail", "pack", "component", "life")
-    ),
 }
 
 # views of the catalog's schema `tables` for queries written before these tables had their names
@@ -134,4 +128,11 @@ FORMER_NAMES = {
     "calibration_laws": "calibration_schedules",
     "twin_chapters": "twin_checkpoints",
     "features_witnesses": "features_cross_checks",
+}
+# the same, where declared components had tables of their own
+FORMER_COMPONENT_TABLES = {
+    "twin_components": "twin_health",
+    "features_component_alerts": "features_alerts",
+    "prognoses_components": "prognoses",
+    "prognoses_components_lives": "prognosis_lives",
 }

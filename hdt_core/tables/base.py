@@ -68,6 +68,10 @@ def flight_key(**kw: Any) -> dy.String:
     )
 
 
+COMPONENT_FLIGHT_ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
+"""A flight, cycle or mission as a component's own record numbers them."""
+
+
 def pack_key(**kw: Any) -> dy.Int32:
     """Air-conditioning pack: 1 left, 2 right."""
     meaning = {"unit": "", "meaning": "air-conditioning pack, 1 left, 2 right"}
@@ -185,3 +189,13 @@ class DatedLegTable(LegTable):
     """A table of legs with their departure."""
 
     departed_at = moment("first recorded time")
+
+
+class ComponentLegTable(AircraftTable):
+    """A table of legs of any component, declared ones too, which may number flights in their own way."""
+
+    flight_id = text(
+        "flight `TAIL_YYYYMMDD_LEG`, or cycle as the component's own record names it", nullable=False, primary_key=True,
+        regex=f"{FLIGHT_ID}|{COMPONENT_FLIGHT_ID}",
+    )  # fmt: skip
+    pack = pack_key()

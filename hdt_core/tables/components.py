@@ -1,36 +1,30 @@
-"""Tables of declared components, of every stage, with the component as part of the key."""
+"""Tables that only declared components have, with the component as part of the key."""
 
 from typing import Any
 
 import dataframely as dy
 
-from hdt_core.tables.base import AircraftTable, Table, column, count, flag, moment, number, pack_key, text
+from hdt_core.tables.base import (
+    ComponentLegTable,
+    Table,
+    column,
+    count,
+    flag,
+    moment,
+    number,
+    text,
+)  # fmt: skip
 from hdt_core.tables.calibration import CalibrationDesign
-from hdt_core.tables.features import FeaturesAlerts
-from hdt_core.tables.prognosis import Prognoses, PrognosisLives
 from hdt_core.tables.residuals import Residuals
-from hdt_core.tables.twin import TwinHealth
-
-COMPONENT_FLIGHT_ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
-"""A flight, cycle or mission as the component's own record numbers them."""
-
-
-def _flight() -> dy.String:
-    return text(
-        "flight, or cycle, as the component's own record names it", nullable=False, primary_key=True,
-        regex=COMPONENT_FLIGHT_ID,
-    )  # fmt: skip
 
 
 def _component(**kw: Any) -> dy.String:
     return text("code of the component", nullable=False, primary_key=kw.pop("primary_key", True), **kw)
 
 
-class _Leg(AircraftTable):
+class _Leg(ComponentLegTable):
     """A flight and pack of a component."""
 
-    flight_id = _flight()
-    pack = pack_key()
     component = _component()
 
 
@@ -71,18 +65,8 @@ class CalibrationComponents(CalibrationDesign):
     """One design parameter of a declared component, by pack."""
 
 
-class TwinComponents(TwinHealth):
-    """One health parameter of a declared component after a flight: flight, pack, parameter."""
-
-    flight_id = _flight()
-    component = text("code of the component", nullable=False)
-
-
 class ResidualsComponents(Residuals):
     """One signal's residual of a declared component over a flight: flight, pack, signal, kind."""
-
-    flight_id = _flight()
-    component = text("code of the component", nullable=False)
 
 
 class FeaturesComponents(_Leg):
@@ -99,18 +83,3 @@ class FeaturesComponents(_Leg):
     loss_slope_100_per_flight = number("trend of a hundred flights", "1/flight")
     loss_jump_10 = number("gain over ten flights")
     loss_step_3 = number("gain of three flights over the twelve before, less the trend")
-
-
-class FeaturesComponentAlerts(FeaturesAlerts):
-    """One case of a declared component that needs attention."""
-
-
-class PrognosesComponents(Prognoses):
-    """Predicted remaining life of a declared component after a flight: flight, pack, component."""
-
-    flight_id = _flight()
-    component = _component()
-
-
-class PrognosesComponentsLives(PrognosisLives):
-    """One life of a unit of a declared component, from its first flight on record to the event that ended it."""

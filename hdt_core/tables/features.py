@@ -271,9 +271,11 @@ class FeaturesAlerts(Table):
     operator = operator_key(primary_key=False)
     tail = text("aircraft", nullable=False)
     pack = pack_key()
-    component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
+    component = text("HX, CC, RAM_DOOR, SENSOR or the code of a declared component", nullable=False)
     diagnosis = text(
-        "HX_FOULING, HX_SUDDEN_CLOG, HX_LOW_MARGIN, CC_DEGRADED, RAM_DOOR_FAULT or SENSOR_FAULT", nullable=False
+        "HX_FOULING, HX_SUDDEN_CLOG, HX_LOW_MARGIN, CC_DEGRADED, RAM_DOOR_FAULT, SENSOR_FAULT, or one of a declared "
+        "component",
+        nullable=False,
     )
     raised_flight_id = text("flight after which it was raised", nullable=False)
     raised_at = moment("departure of that flight")

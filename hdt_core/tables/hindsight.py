@@ -19,13 +19,8 @@ class Revision(NamedTuple):
 REVISIONS = (
     Revision(
         ("twin_health", "health_parameters"),
-        ("hx_fouling_smoothed", "cc_efficiency_loss_smoothed", "cc_diameter_loss_smoothed"),
+        ("hx_fouling_smoothed", "cc_efficiency_loss_smoothed", "cc_diameter_loss_smoothed", "<parameter>_smoothed"),
         "the smoother uses 50 to 100 later flights, so no decision uses its values",
-    ),
-    Revision(
-        ("twin_components", "health_parameters"),
-        ("<parameter>_smoothed",),
-        "the same, of a declared component's parameters",
     ),
     Revision(
         ("legs_admitted", "legs"),
@@ -33,12 +28,12 @@ REVISIONS = (
         "the verdict on a leg, with hindsight: it selects legs for calibration and decides about no part",
     ),
     Revision(
-        ("features_alerts", "features_component_alerts", "alerts"),
+        ("features_alerts", "alerts"),
         ("closed_at", "closed_on", "closed_reason", "severity", "now_flight_id", "evidence_now"),
         "the alert's present state; other columns hold its state when it was raised",
     ),
     Revision(
-        ("prognosis_lives", "prognoses_components_lives", "unit_lives"),
+        ("prognosis_lives", "unit_lives"),
         ("ended_by", "censored", "n_flights", "end_row", "end_flight_id", "end_departed_at"),
         "a life ends when its end is on record",
     ),

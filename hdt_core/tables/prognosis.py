@@ -2,7 +2,18 @@
 
 import dataframely as dy
 
-from hdt_core.tables.base import AircraftTable, LegTable, Table, column, count, flag, moment, number, pack_key, text
+from hdt_core.tables.base import (
+    AircraftTable,
+    ComponentLegTable,
+    Table,
+    column,
+    count,
+    flag,
+    moment,
+    number,
+    pack_key,
+    text,
+)  # fmt: skip
 
 
 class PrognosisBase(Table):
@@ -35,10 +46,10 @@ class PrognosisModel(Table):
     )
 
 
-class Prognoses(LegTable):
+class Prognoses(ComponentLegTable):
     """Predicted remaining life after a flight: flight, pack, component."""
 
-    component = text("HX or CC", nullable=False, primary_key=True)
+    component = text("code of the component", nullable=False, primary_key=True)
     departed_at = moment("first recorded time")
     rul_flights = number("flights left until the failure message, 50 % point without any condition", "flights", 0)
     rul_low = number("5 % point of the flights left; 300 stands for 300 or more", "flights", 0)

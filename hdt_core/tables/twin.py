@@ -2,7 +2,17 @@
 
 import dataframely as dy
 
-from hdt_core.tables.base import AircraftTable, DatedLegTable, column, flag, number, pack_key, text
+from hdt_core.tables.base import (
+    AircraftTable,
+    ComponentLegTable,
+    DatedLegTable,
+    column,
+    flag,
+    moment,
+    number,
+    pack_key,
+    text,
+)  # fmt: skip
 
 
 def _samples(meaning: str) -> dy.Column:
@@ -57,10 +67,11 @@ class TwinFlights(DatedLegTable):
     vda_counts = number("diffuser position", "count")
 
 
-class TwinHealth(DatedLegTable):
+class TwinHealth(ComponentLegTable):
     """One health parameter after a flight: flight, pack, parameter."""
 
-    component = text("HX or CC", nullable=False)
+    departed_at = moment("first recorded time")
+    component = text("code of the component", nullable=False)
     parameter = text(
         "name; one that ends in _smoothed looks ahead, by 50 to 100 flights: for looking back, never for deciding",
         nullable=False,
@@ -80,7 +91,7 @@ class TwinCheckpoints(AircraftTable):
     """One of the hypotheses about a pack as a chapter of fifty flights began: a checkpoint from which nights go on."""
 
     pack = pack_key()
-    component = text("HX or CC", nullable=False, primary_key=True)
+    component = text("code of the component", nullable=False, primary_key=True)
     parameter = text("health parameter whose track it continues", nullable=False, primary_key=True)
     chapter = column(
         dy.Int64, "chapter of the pack's flights, from 1; the first needs no checkpoint", "-", primary_key=True

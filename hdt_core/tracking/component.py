@@ -15,7 +15,8 @@ from hdt_core.physics.model import Param, PhysicsModel
 from hdt_core.records.keys import IN_ORDER
 from hdt_core.records.packs import split_packs
 from hdt_core.robust import MAD_TO_SD
-from hdt_core.tracking.loss_filter import Loss, track_loss
+from hdt_core.tracking.loss_filter import Loss, TrackResult, join_tracks, track_loss
+from hdt_core.tracking.segments import SEGMENT_FLIGHTS
 from hdt_core.tracking.sequential import recorded_outputs, samples_problem
 from hdt_core.tracking.wear_model import PACES, UNIT_SD, WEAR_STEP, Pace, Settings
 
@@ -90,8 +91,13 @@ class DesignOffset(NamedTuple):
 
 
 def track_component(
-    flights: pl.DataFrame, component: Component, maintenance: pl.DataFrame, offset: DesignOffset | None = None
-) -> pl.DataFrame:
+    flights: pl.DataFrame,
+    component: Component,
+    maintenance: pl.DataFrame,
+    offset: DesignOffset | None = None,
+    previous: TrackResult | None = None,
+    seal: str = "",
+) -> TrackResult:
     """Filter the health parameters of every flight along each pack.
 
     The filter is the exchanger's, for units that differ, enter worn, are renewed and washed, with wear scaled to the
@@ -107,12 +113,14 @@ def track_component(
         `operator, tail, pack, component, action, done_on`.
     offset : DesignOffset, optional
         Offset of the declared design.
+    previous, seal
+        As of `track_loss`.
 
     Returns
     -------
-    DataFrame
-        Table `twin_components`. A flight's weight follows from the scatter of all flights; nothing else is taken from
-        later ones.
+    TrackResult
+        A flight's weight follows from the scatter of the segments before its own; only in the
+        first segment, in which the design is still being calibrated, also from later ones.
 
     Raises
     ------
@@ -123,7 +131,7 @@ def track_component(
         raise ValueError(f"{component.model.name}: no flight to follow")
     rows, offset = flights.sort(IN_ORDER), offset or DesignOffset()
     losses = (_loss(rows, param, component, offset) for param in component.model.free("health"))
-    return pl.concat(track_loss(rows, maintenance, loss).health for loss in losses)
+    return join_tracks(track_loss(rows, maintenance, loss, previous, seal) for loss in losses)
 
 
 def _loss(flights: pl.DataFrame, param: Param, component: Component, offset: DesignOffset) -> Loss:
@@ -132,8 +140,7 @@ def _loss(flights: pl.DataFrame, param: Param, component: Component, offset: Des
     estimates = flights.select(pl.when(~pl.col("status").is_in(WITHOUT_ESTIMATE)).then(param.name), f"{param.name}_sd")
     loss, loss_sd = estimates.to_numpy().astype(float).T
     wear, sd = (x / size for x in wear_of(loss, loss_sd, param))
-    scatter = np.concatenate([np.full(len(r), scatter_sd(wear[r], sd[r] ** 2)) for r in split_packs(flights)])
-    variance = np.where(np.isfinite(wear), sd**2 + scatter**2, 1.0)
+    variance = np.where(np.isfinite(wear), sd**2 + scatter_by_segment(flights, wear, sd**2) ** 2, 1.0)
     status = pl.when(pl.Series(np.isfinite(wear))).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
     observations = (-wear - offset.shift / size, variance, np.ones_like(wear))
     return Loss(component, param, size, settings, observations, status)
@@ -165,6 +172,20 @@ def _wear_at_failure(component: Component, param: Param) -> float:
 def wear_of(loss: Array, sd: Array, param: Param) -> tuple[Array, Array]:
     """Convert a loss and its sd to wear, -ln(1 - loss), and its sd; a loss that can exceed 1 stays as it is."""
     return (-np.log1p(-loss), sd / (1.0 - loss)) if param.is_share else (loss, sd)
+
+
+def scatter_by_segment(flights: pl.DataFrame, wear: Array, own_variance: Array, usual_sd: float | None = None) -> Array:
+    """Estimate each flight's sd about its pack's health beyond its own, from the segments before: from no later flight.
+
+    The first segment has `usual_sd`, or where that is not given the sd of its own flights.
+    """
+    scatter = np.empty(len(wear))
+    for rows in split_packs(flights):
+        for first in range(0, len(rows), SEGMENT_FLIGHTS):
+            past = rows[: first or (SEGMENT_FLIGHTS if usual_sd is None else 0)]
+            sd = scatter_sd(wear[past], own_variance[past], usual_sd or MIN_FLIGHT_SD)
+            scatter[rows[first : first + SEGMENT_FLIGHTS]] = sd
+    return scatter
 
 
 def scatter_sd(wear: Array, own_variance: Array, usual_sd: float = MIN_FLIGHT_SD) -> float:

@@ -17,7 +17,7 @@ from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.packs import is_among
 from hdt_core.records.unit_index import number_units, select_entries
 from hdt_core.tables.components import CalibrationComponents
-from hdt_core.tables.twin import TwinHealth
+from hdt_core.tables.twin import TwinCheckpoints
 from hdt_core.tracking.component import (
     WITHOUT_ESTIMATE,
     DesignOffset,
@@ -29,6 +29,7 @@ from hdt_core.tracking.component import (
 )
 from hdt_core.tracking.component_readings import ONE_OR_MORE, component_readings
 from hdt_core.tracking.flight_panel import FILTERED, health_rows
+from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from hdt_core.tracking.sequential import flight_by_flight
 
 MOST, FEWEST, SHARE_OF_LIFE = 100, 10, 0.1
@@ -150,33 +151,50 @@ def _second_level(legs: pl.DataFrame, strays: pl.DataFrame, packs: pl.DataFrame)
 
 
 def unit_health(
-    samples: pl.DataFrame, legs: pl.DataFrame, design: pl.DataFrame, maintenance: pl.DataFrame, component: Component
-) -> tuple[pl.DataFrame, pl.DataFrame]:
+    samples: pl.DataFrame,
+    legs: pl.DataFrame,
+    design: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    component: Component,
+    previous: TrackResult | None = None,
+    seal: str = "",
+) -> tuple[pl.DataFrame, TrackResult]:
     """Estimate health of every steady flight of packs that have a design.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        Of `component_samples`.
+    legs, design : DataFrame
+        Of `commission`.
+    maintenance : DataFrame
+    component : Component
+    previous, seal
+        As of `track_loss`.
 
     Returns
     -------
     flights : DataFrame
         Of `flight_by_flight`: each flight's own estimate.
-    health : DataFrame
-        Of `track_component`: filtered along each life, long form.
+    tracks : TrackResult
+        Of `track_component`; without checkpoints where no flight calibrated the design.
     """
     steady = samples.filter("nominal").join(legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)), on=LEG, how="semi")
     health_names, method = _health_names(component), declared_estimator(component)
     flights = [flight_by_flight(samples.clear(), component.model, health_names)]
-    health: list[pl.DataFrame] = [TwinHealth.create_empty()]
+    tracks = []
     for model, rests_on_prior, own in pack_models(steady, design, component):
         estimates = flight_by_flight(own, model, health_names, estimator=method)
         estimates = _reject_beyond_range(estimates, own, component)
         flights.append(estimates)
         if estimates.height:
             offset = design_offset(own, model, component)
-            health.append(
-                health_by_prior(estimates, offset.sd, component)
+            tracks.append(
+                TrackResult(health_by_prior(estimates, offset.sd, component), TwinCheckpoints.create_empty())
                 if rests_on_prior
-                else track_component(estimates, component, maintenance, offset)
+                else track_component(estimates, component, maintenance, offset, previous, seal)
             )
-    return pl.concat(flights), pl.concat(health)
+    return pl.concat(flights), join_tracks(tracks)
 
 
 def pack_models(

@@ -12,12 +12,10 @@ from hdt_core.components import Component
 from hdt_core.components.compressor import CC
 from hdt_core.physics.model import Array, Param
 from hdt_core.records.keys import PACK
-from hdt_core.records.packs import split_packs
 from hdt_core.robust import median_error
-from hdt_core.tracking.component import DesignOffset, scatter_sd, wear_settings
+from hdt_core.tracking.component import DesignOffset, scatter_by_segment, wear_settings
 from hdt_core.tracking.flight_panel import FILTERED, health_rows
 from hdt_core.tracking.loss_filter import Loss, TrackResult, track_loss
-from hdt_core.tracking.segments import SEGMENT_FLIGHTS
 from hdt_core.tracking.wear_model import FAULT_CHANCE
 
 EFFICIENCY_SD, DIAMETER_SD_LN = 0.006, 0.02
@@ -60,21 +58,12 @@ def _loss(
 ) -> Loss:
     size, settings = wear_settings(component, param, offset)
     ratio = ln_ratio / size
-    variance = np.where(np.isfinite(ratio), _scatter(flights, ratio, usual_sd / size) ** 2, 1.0)
+    scatter = scatter_by_segment(flights, ratio, np.zeros_like(ratio), usual_sd / size)
+    variance = np.where(np.isfinite(ratio), scatter**2, 1.0)
     status = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
     # a step of its probes is no rarer than one of the exchanger's
     settings = settings._replace(entries=ENTRY, fault_chance=FAULT_CHANCE, truncated=False)
     return Loss(component, param, size, settings, (ratio, variance, np.ones_like(ratio)), status)
-
-
-def _scatter(flights: pl.DataFrame, ratio: Array, usual_sd: float) -> Array:
-    """Estimate each flight's sd about its machine's state from the segments before its own: from no later flight."""
-    scatter = np.full(len(ratio), usual_sd)
-    for rows in split_packs(flights):
-        for first in range(SEGMENT_FLIGHTS, len(rows), SEGMENT_FLIGHTS):
-            past = ratio[rows[:first]]
-            scatter[rows[first : first + SEGMENT_FLIGHTS]] = scatter_sd(past, np.zeros_like(past), usual_sd)
-    return scatter
 
 
 def effective_diameter(flights: pl.DataFrame) -> pl.DataFrame:

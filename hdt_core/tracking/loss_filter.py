@@ -1,5 +1,6 @@
 """Track a loss along its packs: the multiple-model filter, its smoother, and checkpoints from night to night."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from hdt_core.calibration.arrays import Array
 from hdt_core.components import Component
 from hdt_core.physics.model import Param
 from hdt_core.records.keys import LEG_AT, PACK
+from hdt_core.tables.twin import TwinCheckpoints, TwinHealth
 from hdt_core.tracking.checkpoints import checkpoint_rows, read_checkpoints
 from hdt_core.tracking.flight_panel import FILTERED, fingerprints, health_rows, lay_out
 from hdt_core.tracking.segments import SEGMENT_FLIGHTS, filter_segments
@@ -22,6 +24,12 @@ class TrackResult(NamedTuple):
 
     health: pl.DataFrame
     checkpoints: pl.DataFrame
+
+
+def join_tracks(results: Iterable[TrackResult]) -> TrackResult:
+    """Concatenate the results of several losses, packs or components."""
+    none = TrackResult(TwinHealth.create_empty(), TwinCheckpoints.create_empty())
+    return TrackResult(*map(pl.concat, zip(none, *results, strict=True)))
 
 
 class Loss(NamedTuple):

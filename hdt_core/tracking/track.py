@@ -7,7 +7,7 @@ from hdt_core.calibration.dsm import Dsm
 from hdt_core.components.exchanger import HX
 from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.tracking.compressor_tracking import effective_diameter, track_compressor
-from hdt_core.tracking.loss_filter import Loss, TrackResult, track_loss
+from hdt_core.tracking.loss_filter import Loss, TrackResult, join_tracks, track_loss
 from hdt_core.tracking.lumped_coefficients import lumped_coefficients
 from hdt_core.tracking.sensor_shifts import Corrections, corrections
 from hdt_core.tracking.wear_model import Settings
@@ -35,10 +35,9 @@ def track(
     flights, seal = twin_flights.sort(IN_ORDER), f"{seal}|{dsm.dsm_version}"
     exchanger = track_loss(flights, maintenance, exchanger_loss(flights, corrections(flights), dsm), previous, seal)
     losses = [exchanger, *track_compressor(flights, maintenance, dsm, previous, seal)]
-    rows = [*(loss.health for loss in losses), lumped_coefficients(flights), effective_diameter(flights)]
-    valid = _null_invalid(pl.concat(rows))
-    checkpoints = pl.concat(loss.checkpoints for loss in losses)
-    return TrackResult(valid.sort(*PACK, "departed_at", "flight_id", "component", "parameter"), checkpoints)
+    tracks = join_tracks(losses)
+    valid = _null_invalid(pl.concat([tracks.health, lumped_coefficients(flights), effective_diameter(flights)]))
+    return tracks._replace(health=valid.sort(*PACK, "departed_at", "flight_id", "component", "parameter"))
 
 
 def _null_invalid(rows: pl.DataFrame) -> pl.DataFrame:

@@ -1,4 +1,4 @@
-"""Process declared components: from files of their own to legs, twin, alerts and remaining life."""
+"""Process the declared components' own files: to legs, design, and health for the twin of all components."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -6,23 +6,21 @@ from pathlib import Path
 
 import polars as pl
 
-from hdt_core.alerts.component_alerts import component_features, raise_component_alerts
 from hdt_core.components import Component, component_rows, recorded_components
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
-from hdt_core.prognosis.component_life import component_prognoses
-from hdt_core.prognosis.unit_lives import component_lives, life_table
 from hdt_core.records.keys import LEG
 from hdt_core.tables import TABLES
 from hdt_core.tracking.component_readings import component_readings
+from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from pipelines.assets.raw import account, with_aircraft
 from pipelines.assets.stage import stage
 from pipelines.intake.components import read_components
 from pipelines.intake.ingest import landing_files
-from pipelines.lineage import STAGE
+from pipelines.lineage import LINEAGE, STAGE
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
-from pipelines.storage.settings import accepted_terms, alert_limits
+from pipelines.storage.settings import accepted_terms
 
 SAMPLE = [*LEG, "component", "time_utc", "signal"]
 
@@ -74,30 +72,40 @@ def calibration_components(
     from hdt_core.tracking.component_units import commission  # its estimators take half a second to load
 
     results = [commission(raw_components, raw_maintenance, c, raw_reports) for c in in_service(home)]
-    legs = _concat("legs_components", [x for x, _ in results])
-    design = _concat("calibration_components", [d for _, d in results])
+    legs = conform_all("legs_components", [x for x, _ in results])
+    design = conform_all("calibration_components", [d for _, d in results])
     return legs, design.with_columns(pl.lit("tail").alias("scope"))
 
 
-@stage
-def twin_components(
-    raw_components: pl.DataFrame,
-    legs_components: pl.DataFrame,
-    calibration_components: pl.DataFrame,
-    raw_maintenance: pl.DataFrame,
-    home: Home,
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Estimate each component's health after each flight, and residuals of sensor, model and twin."""
-    from hdt_core.tracking.component_units import unit_health
+def track_components(
+    signals: pl.DataFrame, legs: pl.DataFrame, design: pl.DataFrame, maintenance: pl.DataFrame, home: Home,
+    stored: TrackResult,
+) -> tuple[TrackResult, pl.DataFrame]:  # fmt: skip
+    """Track each declared component's health after each flight; also residuals of its sensors, model and twin.
 
-    health, residuals = [], []
-    for component in in_service(home):
-        legs = legs_components.filter(component=component.code)
-        samples = component_samples(raw_components, component)
-        flights, tracked = unit_health(samples, legs, calibration_components, raw_maintenance, component)
-        health += [tracked, component_readings(samples, component)]
-        residuals += _residuals(samples, flights, calibration_components, component)
-    return _concat("twin_components", health), _concat("residuals_components", residuals)
+    Parameters
+    ----------
+    signals, legs, design, maintenance : DataFrame
+        Tables `raw_components`, `legs_components`, `calibration_components` and `raw_maintenance`.
+    home : Home
+    stored : TrackResult
+        Of the last night.
+    """
+    tracks, readings, residuals = [], [], []
+    if signals.height:
+        from hdt_core.tracking.component_units import unit_health
+
+    for component in in_service(home) if signals.height else ():
+        samples = component_samples(signals, component)
+        inputs = (samples, legs.filter(component=component.code), design, maintenance, component)
+        seal = f"{LINEAGE['twin_health'].code}|{component.version}"
+        flights, tracked = unit_health(*inputs, stored, seal)
+        tracks.append(tracked)
+        readings.append(component_readings(samples, component))
+        residuals += _residuals(samples, flights, design, component)
+    tracked = join_tracks(tracks)
+    health = pl.concat([tracked.health, *readings])
+    return tracked._replace(health=health), conform_all("residuals_components", residuals)
 
 
 def _residuals(
@@ -114,42 +122,7 @@ def _residuals(
     ]
 
 
-@stage
-def features_components(
-    twin_components: pl.DataFrame,
-    residuals_components: pl.DataFrame,
-    legs_components: pl.DataFrame,
-    raw_maintenance: pl.DataFrame,
-    home: Home,
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Compute features of each component's loss, and its alerts."""
-    components, limits = recorded_components().values(), alert_limits(Path(home.home))
-    inputs = (twin_components, residuals_components, legs_components, raw_maintenance)
-    features = _concat("features_components", [component_features(*inputs, c) for c in components])
-    alerts = [raise_component_alerts(features, raw_maintenance, c, limits) for c in components]
-    return features, _concat("features_component_alerts", alerts)
-
-
-@stage
-def prognoses_components(
-    features_components: pl.DataFrame, raw_messages: pl.DataFrame, raw_maintenance: pl.DataFrame
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Extrapolate each component's loss to that at which others failed, or to the declared limit."""
-    inputs = (features_components, raw_messages, raw_maintenance)
-    components = recorded_components().values()
-    prognoses = _concat("prognoses_components", [component_prognoses(*inputs, c) for c in components])
-    return prognoses, _concat("prognoses_components_lives", [_lives(*inputs, c) for c in components])
-
-
-def _lives(
-    features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
-) -> pl.DataFrame:
-    """Return lives of a component's units; without a declared message all are censored."""
-    rows = features.filter(component=component.code)
-    return life_table(rows, component_lives(rows, messages, maintenance, component))
-
-
-def _concat(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
+def conform_all(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
     """Concatenate frames of all components in a table's declared columns."""
     schema = TABLES[table].schema
     return pl.concat([schema.create_empty(), *(schema.conform(f) for f in frames)])

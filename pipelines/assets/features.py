@@ -1,4 +1,4 @@
-"""Compute features of each pack after each flight, and raise alerts."""
+"""Compute features of each component after each flight, and raise alerts."""
 
 import json
 from pathlib import Path
@@ -6,12 +6,15 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.alerts.alerts import raise_alerts
+from hdt_core.alerts.component_alerts import component_features, raise_component_alerts
+from hdt_core.components import recorded_components
 from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.health.features import features as describe
 from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.margin.control_schedules import ControlSchedules
 from hdt_core.margin.exchanger_demand import exchanger_demand
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
+from pipelines.assets.components import conform_all
 from pipelines.assets.stage import stage
 from pipelines.assets.twin import model_of
 from pipelines.resources import Home
@@ -44,10 +47,14 @@ def features(
     twin_flights: pl.DataFrame,
     features_cross_checks: pl.DataFrame,
     features_margin: pl.DataFrame,
-) -> pl.DataFrame:
+    residuals_components: pl.DataFrame,
+    legs_components: pl.DataFrame,
+) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Join health, residuals, trends, virtual sensors and cross checks of door and sensors, by flight and pack."""
-    return describe(
-        twin_health,
+    inputs = (twin_health, residuals_components, legs_components, raw_maintenance)
+    declared = recorded_components().values()
+    pack = describe(
+        twin_health.filter(~pl.col("component").is_in([c.code for c in declared])),
         residuals,
         legs_verdicts,
         raw_maintenance,
@@ -55,11 +62,19 @@ def features(
         cross_checks=features_cross_checks,
         demand=features_margin,
     )
+    return pack, conform_all("features_components", [component_features(*inputs, c) for c in declared])
 
 
 @stage
 def features_alerts(
-    features: pl.DataFrame, twin_health: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
+    features: pl.DataFrame,
+    twin_health: pl.DataFrame,
+    features_components: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
+    home: Home,
 ) -> pl.DataFrame:
     """Raise alerts: which loss grew, since when, what else could explain it, what to do."""
-    return raise_alerts(features, twin_health, raw_maintenance, alert_limits(Path(home.home)))
+    limits, declared = alert_limits(Path(home.home)), recorded_components().values()
+    alerts = raise_alerts(features, twin_health, raw_maintenance, limits)
+    others = (raise_component_alerts(features_components, raw_maintenance, c, limits) for c in declared)
+    return conform_all("features_alerts", [alerts, *others])

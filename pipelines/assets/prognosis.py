@@ -6,7 +6,11 @@ from dataclasses import asdict
 
 import polars as pl
 
+from hdt_core.components import recorded_components
+from hdt_core.components.compressor import CC
+from hdt_core.components.exchanger import HX
 from hdt_core.margin.exchanger_demand import CRITICAL
+from hdt_core.prognosis.component_life import component_life_table, component_prognoses
 from hdt_core.prognosis.feature_rows import LOSSES, MARGIN_FEATURES
 from hdt_core.prognosis.fleet_record import FleetRecord
 from hdt_core.prognosis.model_card import fits_to_json, model_card, with_fits
@@ -14,9 +18,10 @@ from hdt_core.prognosis.service import ModelUpdate, MonthModel, update_model
 from hdt_core.prognosis.training_digest import TrainingDigest
 from hdt_core.prognosis.unit_lives import life_table
 from hdt_core.records.keys import PACK
+from pipelines.assets.components import conform_all
 from pipelines.assets.stage import StageResult, stage
 from pipelines.learned import load_base, shipped_base, shipped_bytes
-from pipelines.lineage import LINEAGE, UPSTREAM
+from pipelines.lineage import DECLARED, LINEAGE, UPSTREAM
 from pipelines.report.pictures import PICTURE_FEATURES, night_pictures
 from pipelines.resources import Home
 from pipelines.storage.store import Store
@@ -37,11 +42,13 @@ def prognosis(
     raw_maintenance: pl.DataFrame,
     calibration_dsm: pl.DataFrame,
     calibration_schedules: pl.DataFrame,
+    features_components: pl.DataFrame,
     home: Home,
 ) -> StageResult:
     """Predict time to the failure message by the base corrected by lives of earlier months, each tail's by other tails.
 
-    A base that scores worse than the one in service is not promoted.
+    A base that scores worse than the one in service is not promoted. Losses of declared components are extrapolated to
+    that at which others failed, or to the declared limit.
     """
     health = home.store.scan("features").select(pl.selectors.by_name(*FEATURE_COLUMNS, require_all=False))
     margins = home.store.scan("features_margin").select(*PACK, "flight_id", *CRITICAL, *MARGIN_FEATURES)
@@ -54,7 +61,10 @@ def prognosis(
     pictures = night_pictures(features, update.prognoses, raw_maintenance)
     base = prognosis_base if not update.months or update.newest.model.hazard is candidate.hazard else stored
     lives = life_table(features, record.lives())
-    return StageResult((update.prognoses, _rows(update, base["model"][-1]), lives), pictures)
+    inputs, declared = (features_components, raw_messages, raw_maintenance), recorded_components().values()
+    prognoses = conform_all("prognoses", [update.prognoses, *(component_prognoses(*inputs, c) for c in declared)])
+    lives = conform_all("prognosis_lives", [lives, *(component_life_table(*inputs, c) for c in declared)])
+    return StageResult((prognoses, _rows(update, base["model"][-1]), lives), pictures)
 
 
 FEATURE_COLUMNS = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *PICTURE_FEATURES)))
@@ -62,8 +72,9 @@ FEATURE_COLUMNS = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSE
 
 
 def _design(calibration_dsm: pl.DataFrame, calibration_schedules: pl.DataFrame) -> str:
-    """Digest what prognoses depend on besides the record: models, laws and the code version of each stage."""
-    codes = [(table, LINEAGE[table].code) for table in sorted({*UPSTREAM["prognosis"], "prognoses"})]
+    """Digest what the pack's prognoses depend on besides the record: models, laws, the code version of each stage."""
+    tables = sorted({*UPSTREAM["prognosis"], "prognoses"})
+    codes = [(table, LINEAGE[table].code) for table in tables if DECLARED not in LINEAGE[table].code]
     content = [calibration_dsm["dsm_version"].to_list(), calibration_schedules.sort("name")["laws"].to_list(), codes]
     return hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
 
@@ -83,7 +94,7 @@ def _model_in_service(stored: pl.DataFrame, store: Store) -> ModelUpdate | None:
         )
         for row in stored.iter_rows(named=True)
     }
-    return ModelUpdate(months, store.read_table("prognoses"))
+    return ModelUpdate(months, store.read_table("prognoses").filter(pl.col("component").is_in((HX.code, CC.code))))
 
 
 def _rows(update: ModelUpdate, base: bytes) -> pl.DataFrame:

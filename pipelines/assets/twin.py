@@ -1,4 +1,4 @@
-"""Estimate each pack's health from each flight alone, track it through all flights, compare with sensor and model."""
+"""Estimate each pack's health from one flight, track every component through all, compare with sensor and model."""
 
 import json
 
@@ -7,8 +7,9 @@ import polars as pl
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.health.residuals import residuals as compare
-from hdt_core.tracking.loss_filter import TrackResult
+from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from hdt_core.tracking.track import track
+from pipelines.assets.components import track_components
 from pipelines.assets.stage import stage
 from pipelines.lineage import LINEAGE
 from pipelines.partitions import PartitionScope
@@ -33,13 +34,22 @@ def twin_health(
     twin_flights: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
     calibration_dsm: pl.DataFrame,
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Track the Operational Digital Twin: health after each flight, from that flight and all before it.
+    raw_components: pl.DataFrame,
+    legs_components: pl.DataFrame,
+    calibration_components: pl.DataFrame,
+) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
+    """Track the Operational Digital Twin: each component's health after a flight, from that flight and all before it.
 
     It continues from the last checkpoint before the new flights; a checkpoint lists the flights it includes.
     """
     stored = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
-    return track(twin_flights, raw_maintenance, model_of(calibration_dsm), stored, LINEAGE["twin_health"].code)
+    components, residuals = track_components(
+        raw_components, legs_components, calibration_components, raw_maintenance, home, stored
+    )
+    tracks, code = [components], LINEAGE["twin_health"].code
+    if twin_flights.height:
+        tracks.append(track(twin_flights, raw_maintenance, model_of(calibration_dsm), stored, code))
+    return *join_tracks(tracks), residuals
 
 
 @stage

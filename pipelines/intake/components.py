@@ -6,7 +6,8 @@ from datetime import datetime
 import polars as pl
 
 from hdt_core.components import Channel, Component, recorded_components
-from hdt_core.tables.components import COMPONENT_FLIGHT_ID, RawComponents
+from hdt_core.tables.base import COMPONENT_FLIGHT_ID
+from hdt_core.tables.components import RawComponents
 from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
 from pipelines.intake.fields import EARLIEST, MAX_PACKS

@@ -13,7 +13,6 @@ from pipelines.storage.publication import order_views, views
 from pipelines.storage.settings import alert_limits
 
 OUTCOME_VIEWS = ("alert_hit_rates", "alert_lead_times")
-_ALERTS = ("features_alerts", "features_component_alerts")
 _COUNTS = """
     select
         coalesce(any_value(n_alerts), 0) as alerts,
@@ -43,14 +42,13 @@ def thresholds(home: Path) -> list[Row]:
         copy.execute("set TimeZone = 'UTC'; create schema tables")
         for name, rows in tables.items():
             _replace(copy, name, rows)
-        _replace(copy, _ALERTS[1], tables[_ALERTS[1]].slice(0, 0))
         for _, sql in definitions:
             copy.execute(sql)
         return [_outcome(copy, t) for t in trials(features, health, maintenance, alert_limits(home))]
 
 
 def _outcome(con: duckdb.DuckDBPyConnection, t: Trial) -> Row:
-    _replace(con, _ALERTS[0], t.alerts.to_arrow())
+    _replace(con, "features_alerts", t.alerts.to_arrow())
     (row,) = con.sql(_COUNTS, params=[t.diagnosis]).pl().to_dicts()
     return {"diagnosis": t.diagnosis, "limit": t.limit, "value": t.value, "in_service": t.in_service, **row}
 

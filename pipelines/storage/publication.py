@@ -14,7 +14,7 @@ from pathlib import Path
 
 import duckdb
 
-from hdt_core.tables import FORMER_NAMES, TABLES
+from hdt_core.tables import FORMER_COMPONENT_TABLES, FORMER_NAMES, TABLES
 from pipelines.storage.catalog import CATALOG, open_catalog, quote, restrict
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import hash_of, replacing
@@ -135,8 +135,10 @@ def create_views(
     con.execute("create table tables.files (path varchar)")
     con.execute("comment on column tables.files.path is 'a file that the views read, below the tables'' folder'")
     changed = update_files(con, tables)
-    for former, table in FORMER_NAMES.items():
-        con.execute(f"create view tables.{former} as from tables.{table}")
+    of_components = " where component in (select component from tables.components where recorded)"
+    for former, table in (FORMER_NAMES | FORMER_COMPONENT_TABLES).items():
+        rows = of_components if former in FORMER_COMPONENT_TABLES else ""
+        con.execute(f"create view tables.{former} as from tables.{table}{rows}")
         add_meanings(con, table, former)
     add_views(con, stored)
     return changed

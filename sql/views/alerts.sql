@@ -1,16 +1,10 @@
 -- What wants a person's attention, why, and what to do?
 -- raised_on: day of raised_at in UTC; raised_at::date is a day of the session's time zone
 -- closed_on: day of closed_at in UTC
--- Grain: alert. Reads: tables.features_alerts, tables.features_component_alerts.
+-- Grain: alert. Reads: tables.features_alerts.
 create or replace view alerts as
-with cases as (
-    select * from tables.features_alerts
-    union all by name
-    select * from tables.features_component_alerts
-)
-
 select
     *,
     (raised_at at time zone 'UTC')::date as raised_on,
     (closed_at at time zone 'UTC')::date as closed_on
-from cases;
+from tables.features_alerts;

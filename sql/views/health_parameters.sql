@@ -3,16 +3,10 @@
 -- flights after, change while they come in, and are for looking back; decide by those without.
 -- is_observed: the flight moved the estimate; else it is what the flights before say, the prior, or nothing
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
--- Grain: flight, pack, parameter. Reads: tables.twin_health, tables.twin_components.
+-- Grain: flight, pack, parameter. Reads: tables.twin_health.
 create or replace view health_parameters as
-with known as (
-    select * from tables.twin_health
-    union all by name
-    select * from tables.twin_components
-)
-
 select
     *,
     value is not null and status not in ('predicted', 'prior_only') as is_observed,
     (departed_at at time zone 'UTC')::date as departed_on
-from known;
+from tables.twin_health;

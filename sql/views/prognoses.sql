@@ -2,16 +2,9 @@
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
 -- status: ok; contradicted (the component was found clean since, and not renewed: what the sensors say, which an
 -- inspection did not see); prior_only (no flight of the unit was informative: the prior of any unit)
--- Grain: flight, pack, component. Reads: alerts, unobserved_units, tables.prognoses, tables.prognoses_components,
--- tables.raw_maintenance.
+-- Grain: flight, pack, component. Reads: alerts, unobserved_units, tables.prognoses, tables.raw_maintenance.
 create or replace view prognoses as
-with outlook as (
-    select * from tables.prognoses
-    union all by name
-    select * from tables.prognoses_components
-),
-
-findings as (
+with findings as (
     select
         operator,
         tail,
@@ -72,7 +65,7 @@ select
         when u.component is not null then 'prior_only'
         else coalesce(c.status, 'ok')
     end as status
-from outlook as o
+from tables.prognoses as o
 left join unobserved_units as u
     on
         o.operator = u.operator

@@ -23,11 +23,14 @@ def test_a_night_takes_seven_runs():
     assert [s.grain for s in steps(STAGES)] == ["fleet", "aircraft", "flight", "fleet", "flight", "aircraft", "fleet"]
 
 
+HEALTH = {"twin_health", "legs_admitted", "features", "features_alerts"}
+
+
 @pytest.mark.parametrize(
     ("stale", "made"),
     [
-        ("raw_components", {"raw_components", "calibration_components", "twin_components", "features_components"}),
-        ("twin_health", {"twin_health", "legs_admitted", "features", "features_alerts"}),
+        ("raw_components", {"raw_components", "calibration_components", *HEALTH}),
+        ("twin_health", HEALTH),
         ("features_alerts", {"features_alerts"}),
     ],
 )

@@ -68,7 +68,8 @@ def follow_rig() -> dict[str, Any]:
     no_work = pl.DataFrame(schema=entry | {"done_on": pl.Date})
     limit = Limit(mean=0.6, sd=0.1, unit_sd=0.05)
     cooler = Component("HC", "oil cooler", "UA lost", dsm, "hc_fouling", limit, 2000.0, "Clean its fins")
-    health = track_component(flights, cooler, no_work, DesignOffset(sd=0.01))  # calibrated on cycles that are as built
+    # calibrated on cycles that are as built
+    health = track_component(flights, cooler, no_work, DesignOffset(sd=0.01)).health
     residuals = component_residuals(samples, flights, dsm, "HC")
     legs = flights.select("operator", "tail", "flight_id", "pack", "departed_at")
     described = features(health, residuals, legs, no_work, health=["hc_fouling"])

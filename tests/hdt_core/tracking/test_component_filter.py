@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 from by_hand import flights, log
+from polars.testing import assert_frame_equal
 
 from hdt_core.components import Component, Limit, Reading, components
 from hdt_core.physics.model import Param, PhysicsModel, Signal
@@ -63,7 +64,7 @@ def test_a_flight_that_says_nothing_is_predicted():
     """One that does, as the wear it has beyond the declared design's: its own deviation, and the least scatter."""
     status = pl.Series(["converged", "diverged", "not_identifiable", "converged"])
     rows = flights(4, valve_loss=[0.01, 0.7, 0.7, 0.02], valve_loss_sd=0.01).with_columns(status=status)
-    health = track_component(rows, COMPONENT, log())
+    health = track_component(rows, COMPONENT, log()).health
     for _, track in health.group_by("parameter"):
         assert track["status"].to_list() == ["ok", "predicted", "predicted", "ok"]
     assert health["value"].max() < 0.1
@@ -73,6 +74,21 @@ def test_a_flight_that_says_nothing_is_predicted():
     own, nothing = (0.01 / np.array([0.99, 0.98]) / loss.size) ** 2 + 0.005**2, 1.0
     np.testing.assert_allclose(variance, [own[0], nothing, nothing, own[1]])
     np.testing.assert_array_equal(exposure, np.ones(4))
+
+
+def test_a_night_continues_from_the_last_checkpoint_as_if_all_had_flown_at_once():
+    losses = 0.001 * np.arange(160) + np.tile([0.0, 0.01], 80)
+    early, whole = (flights(n, valve_loss=losses[:n], valve_loss_sd=0.01) for n in (120, 160))
+    at_once, before = (track_component(rows, COMPONENT, log(), seal="1") for rows in (whole, early))
+    marked = before._replace(health=before.health.with_columns(status=pl.lit("of the night before")))
+    after = track_component(whole, COMPONENT, log(), previous=marked, seal="1")
+    columns = [c for c in after.health.columns if c != "status"]
+    assert_frame_equal(after.health.select(columns), at_once.health.select(columns), check_row_order=False)
+    assert_frame_equal(after.checkpoints, at_once.checkpoints)
+    kept = after.health.filter(status="of the night before")
+    assert kept.group_by("parameter").len()["len"].to_list() == [50, 50]  # the last final segment and those before
+    anew = track_component(whole, COMPONENT, log(), previous=marked, seal="2").health
+    assert anew.filter(status="of the night before").is_empty()
 
 
 def test_a_design_has_a_prior_where_the_declaration_says_it_of_each():

@@ -47,7 +47,7 @@ def flown(losses: list[float], spray: float = 0.4, sensor_k: float = 0.3) -> pl.
 def run_component(signals: pl.DataFrame, component) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
     legs, design = commission(signals, NO_WORK, component)
     samples = component_samples(signals, component)
-    _, health = unit_health(samples, legs, design, NO_WORK, component)
+    health = unit_health(samples, legs, design, NO_WORK, component)[1].health
     return design, health, component_readings(samples, component)
 
 
@@ -75,7 +75,9 @@ def test_a_unit_that_the_log_calls_new_is_one_however_small_it_was_made():
     work = pl.DataFrame([("AAA", "T-1", 1, "HXT", "REPLACED", date(2024, 2, 5))], NO_WORK.schema, orient="row")
     samples = component_samples(signals, SPRAYED)
     legs, design = commission(signals, work, SPRAYED)
-    new, old = (unit_health(samples, legs, design, log, SPRAYED)[1].sort("departed_at")[-1] for log in (work, NO_WORK))
+    new, old = (
+        unit_health(samples, legs, design, log, SPRAYED)[1].health.sort("departed_at")[-1] for log in (work, NO_WORK)
+    )
     assert new["status"].item() == old["status"].item() == "ok"
     assert new["value"].item() < 0.025
     assert new["sd"].item() < 0.025

@@ -125,7 +125,7 @@ def test_the_declared_method_estimates_design_and_health():
                          schema=["parameter", "value", "sd", "unit", "n_flights", "identifiable"]), how="cross",
         )  # fmt: skip
         assert design["value"].to_list() == pytest.approx([1.9], abs=1e-3)
-        flown, health = unit_health(rows.with_columns(nominal=True), legs, design, none, part)
+        flown, (health, _) = unit_health(rows.with_columns(nominal=True), legs, design, none, part)
         losses[method], n_evals[method] = health["value"], flown["n_evals"].median()
     np.testing.assert_allclose(losses["pso"], losses["nls"], atol=1e-4)
     assert n_evals["pso"] > 5 * n_evals["nls"]

@@ -8,7 +8,8 @@ import pytest
 from by_hand import DSM, flights, log
 from scipy.stats import norm
 
-from hdt_core.tracking.compressor_tracking import _scatter, effective_diameter
+from hdt_core.tracking.component import scatter_by_segment
+from hdt_core.tracking.compressor_tracking import effective_diameter
 from hdt_core.tracking.compressor_tracking import track_compressor as tracked
 
 LOSSES = {"cc_efficiency_loss": (0.25, 0.008, 0.01, 0.006), "cc_diameter_loss": (1.0 - 0.75**0.5, 0.04, 0.0, 0.02)}
@@ -85,12 +86,20 @@ def test_no_later_flight_changes_a_filtered_loss():
 
 
 def test_flights_weigh_what_the_segments_before_their_own_scatter():
-    """The usual scatter for fifty flights, then that of all steps before the segment: none of its own or later."""
+    """The usual scatter for fifty flights, then that of all steps before the segment: none of its own or later.
+
+    Without a usual one the first fifty have their own.
+    """
     ratio = np.r_[np.tile([0.0, 0.02], 25), np.tile([0.0, 0.06], 35)]
     ratio[1:40:3] = np.nan
-    scatter = _scatter(flights(120), ratio, 0.006)
-    expected = [[0.006], [1.4826 * 0.02 / 2**0.5], [1.4826 * 0.06 / 2**0.5]]
-    np.testing.assert_allclose(scatter, np.repeat(np.ravel(expected), [50, 50, 20]), rtol=1e-4)
+    early, late, noise = 1.4826 * 0.02 / 2**0.5, 1.4826 * 0.06 / 2**0.5, 0.01
+    for usual_sd, own_sd, expected in (
+        (0.006, 0.0, [0.006, early, late]),
+        (None, 0.0, [early, early, late]),
+        (None, noise, [np.sqrt(s**2 - noise**2) for s in (early, early, late)]),
+    ):
+        scatter = scatter_by_segment(flights(120), ratio, np.full(120, own_sd**2), usual_sd)
+        np.testing.assert_allclose(scatter, np.repeat(expected, [50, 50, 20]), rtol=1e-4)
 
 
 @pytest.fixture

@@ -91,7 +91,7 @@ def fleet() -> tuple[pl.DataFrame, pl.DataFrame, np.ndarray]:
 def test_every_unit_lies_where_its_deviation_says(fleet, component):
     signals, log, true = fleet
     legs, design = commission(signals, log, component)
-    _, health = unit_health(component_samples(signals, component), legs, design, log, component)
+    _, (health, _) = unit_health(component_samples(signals, component), legs, design, log, component)
     ordered = health.filter(parameter="nav_loss").sort("tail", "departed_at")
     off, sd = (ordered[c].to_numpy().reshape(true.shape) for c in ("value", "sd"))
     off = off - true
@@ -131,7 +131,7 @@ def test_remaining_life_is_unbiased_over_its_last_hundred_voyages():
     )  # fmt: skip
     legs, design = commission(signals, log, component)
     samples = component_samples(signals, component)
-    flights, health = unit_health(samples, legs, design, log, component)
+    flights, (health, _) = unit_health(samples, legs, design, log, component)
     residuals = pl.concat(
         component_residuals(own.filter("nominal").join(flights, on=LEG, how="semi"), flights, model, component.code)
         for model, _, own in pack_models(samples, design, component)
