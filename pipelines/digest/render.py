@@ -28,6 +28,7 @@ _GAPS = {
     "silence": "silent for {silent_days:.0f} days from {since}",
     "silent_now": "silent since {since}",
     "never_heard": "on the fleet list, no file yet",
+    "unlogged_work": "{component} recovered on {since} as after a wash or replacement, and the log has none",
 }
 PAGES = templates_of("pipelines.digest", finalize=lambda value: "" if value is None else value)
 """Templates of this package. Their text is already escaped for hidden characters, and mail needs ordinary spaces."""
@@ -92,7 +93,7 @@ def _unit(row: Row) -> str:
     """Name the unit, such as `AQX LX-AAC pack 2 (right)`, or the file."""
     if "tail" not in row:
         return str(row["file"])
-    unit = words.unit_name(row) if "pack" in row else row["tail"]
+    unit = words.unit_name(row) if row.get("pack") else row["tail"]
     return f"{row['operator']} {unit}"
 
 

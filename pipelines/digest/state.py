@@ -45,9 +45,16 @@ order by all
 _GAPS = """
 select
     operator, tail, gap, strftime(from_at at time zone 'UTC', '%Y-%m-%d') as since, after_flight_id,
-    n_flights, round(silent_days, 1) as silent_days
-from data_gaps order by all
+    n_flights, round(silent_days, 1) as silent_days, null as pack, null as component
+from data_gaps
+union all by name
+select
+    operator, tail, 'unlogged_work' as gap, strftime(departed_at at time zone 'UTC', '%Y-%m-%d') as since,
+    flight_id as after_flight_id, pack, component
+from unlogged_work
+order by all
 """
+PART = ("pack", "component")
 _FILES = """
 select file, any_value(operator) as operator, sum(n_rows)::bigint as n_rows,
     string_agg(distinct replace(reason, '_', ' '), ', ' order by replace(reason, '_', ' ')) as reasons
@@ -67,7 +74,10 @@ def read_state(con: duckdb.DuckDBPyConnection, tasks: Tasks | None = None) -> St
         "alerts": {name: row for name, row in alerts.items() if row["closed_on"] is None},
         "closed": {name: row for name, row in alerts.items() if row["closed_on"] is not None},
         "outlook": {_key(r, "operator", "tail", "pack", "component"): r for r in _rows(con, _OUTLOOK)},
-        "gaps": {_key(r, "operator", "tail", "gap", "since", "after_flight_id"): r for r in _rows(con, _GAPS)},
+        "gaps": {
+            _key(r, "operator", "tail", "gap", "since", "after_flight_id", *(PART if r["pack"] else ())): r
+            for r in _rows(con, _GAPS)
+        },
         "silent": {
             _key(r, "operator", "tail", "folder", "column_name", "reason"): r for r in map(dict, silent_columns(con))
         },

@@ -71,6 +71,7 @@ _FRAMES = {
     "filter_yield": "select * from filter_yield order by operator, tail, month",
     "reasons": "select reason, count(*) as legs from legs where not admitted group by reason order by 2 desc, 1",
     "gaps": "select * from data_gaps order by until_at desc, operator, tail, gap",
+    "unlogged": "select * from unlogged_work order by departed_at desc, operator, tail, pack, component",
     "quarantine": """
         select reason, scope, count(*) as entries, sum(n_rows)::bigint as n_rows, count(distinct file) as files,
             min(file) as example_file, arg_min(row, file) as example_row, arg_min(detail, file) as example

@@ -80,12 +80,13 @@ def _alerts(facts: Facts) -> dict[str, Any]:
 
 
 def _gaps(facts: Facts) -> dict[str, list[dict[str, Any]]]:
-    """Return silent aircraft, and missing flights by aircraft."""
+    """Return silent aircraft, missing flights by aircraft, and recoveries without work in the log."""
     by = ["operator", "tail"]
     missing = facts["gaps"].filter(gap="missing_leg").group_by(by, maintain_order=True)
     legs = missing.agg(pl.col("n_flights").sum(), pl.col("after_flight_id").first())
     return {
         "silent": facts["gaps"].filter(pl.col("gap") != "missing_leg").to_dicts(),
+        "unlogged": facts["unlogged"].to_dicts(),
         "missing": legs.sort("n_flights", *by, descending=[True, False, False]).to_dicts(),
     }
 

@@ -16,7 +16,7 @@ from hdt_core.tables import TABLES
 from pipelines import partitions
 from pipelines.assets.stage import CHECK, _check_and_store
 from pipelines.definitions import build_defs
-from pipelines.lineage import LINEAGE
+from pipelines.lineage import LINEAGE, STAGE
 from pipelines.orchestration.local_executor import EngineError
 from pipelines.orchestration.runs import LOCATION, open_instance
 from pipelines.partitions import NIGHT
@@ -175,7 +175,8 @@ def test_no_cell_is_listed_to_look_up_versions_and_none_shows_as_stale(own_home,
     landing, home = own_home
     monkeypatch.setattr(StepExecutionContext, "asset_partitions_subset_for_input", None)
     ledger = Ledger(home)
-    ledger.mark("features", ledger.cells("features").with_columns(version=pl.lit("")))
+    for table in STAGE["features"].tables:
+        ledger.mark(table, ledger.cells(table).with_columns(version=pl.lit("")))
     night = run(landing, home)
     assert night.cells
     assert not night.failed

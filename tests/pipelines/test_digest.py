@@ -7,6 +7,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 from digest_nights import FIRST, SECOND, flight, publish_night
+from small_catalog import catalog, fouling
 from typer.testing import CliRunner
 
 from pipelines.cli import app
@@ -45,6 +46,14 @@ def test_the_same_night_twice_is_no_change_and_an_operator_sees_its_own(two_nigh
     assert not compare(now, now).changes
     assert compare(EMPTY, now).of("AAA").changes == compare(EMPTY, now).changes
     assert not compare(EMPTY, now).of("ZZZ").changes
+
+
+def test_parts_that_recover_without_work_in_the_log_are_gaps_each_of_its_own():
+    flown = [fouling(n, 0.2 if n < 50 else 0.01, pack=pack) for n in range(70) for pack in (1, 2)]
+    digest = compare(EMPTY, read_state(catalog(twin_health=flown)))
+    text = as_text(digest)
+    for pack in ("1 (left)", "2 (right)"):
+        assert f"T-1 pack {pack}: HX recovered on 2024-04-20 as after a wash" in text  # fifty days after March 1
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from nights import run
 from pipelines.assets import features
 from pipelines.cli.stops import StoppedError, stop_in_order
 from pipelines.definitions import build_defs
+from pipelines.lineage import STAGE
 from pipelines.orchestration.around_night import lock_home
 from pipelines.orchestration.local_executor import block_stop_signals
 from pipelines.orchestration.runs import open_instance
@@ -106,7 +107,8 @@ def stale_home(own_home) -> tuple[Path, Path]:
     """Features have to be made again, and what depends on them."""
     landing, home = own_home
     ledger = Ledger(home)
-    ledger.mark("features", ledger.cells("features").with_columns(version=pl.lit("")))
+    for table in STAGE["features"].tables:
+        ledger.mark(table, ledger.cells(table).with_columns(version=pl.lit("")))
     (home / "catalog.duckdb").unlink()
     return landing, home
 

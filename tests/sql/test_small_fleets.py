@@ -107,6 +107,29 @@ def test_work_is_compared_before_and_after():
     assert rows(con, "select before_work, after_work, round(moved_by, 9) from before_and_after") == [(0.4, 0.01, -0.39)]
 
 
+@pytest.mark.parametrize(
+    ("after", "sd", "log", "n"),
+    [
+        (0.05, 0.01, [], 1),
+        (0.151, 0.01, [], 0),  # less than a twentieth
+        (0.15, 0.01, [], 1),
+        (0.05, 0.036, [], 0),  # a difference of 2.9 standard deviations
+        (0.05, 0.035, [], 1),
+        (0.05, 0.01, [replaced(57)], 0),
+        (0.05, 0.01, [replaced(58)], 1),  # entered for a later day than a week after
+        (0.05, 0.01, [replaced(33)], 0),
+        (0.05, 0.01, [replaced(32)], 1),
+        (0.05, 0.01, [replaced(50, component="CC"), replaced(50) | {"pack": 2}], 1),
+        (0.05, 0.01, [replaced(50) | {"action": "INSPECTED"}], 1),
+    ],
+)
+def test_a_recovery_without_work_in_the_log_is_listed_once(after, sd, log, n):
+    flown = [fouling(k, 0.2 if k < 50 else after) | {"sd": sd} for k in range(90)]
+    con = catalog(twin_health=flown, raw_maintenance=log)
+    expected = [("T-1", 1, "HX", flown[50]["flight_id"], 0.2, after)] * n
+    assert rows(con, "select tail, pack, component, flight_id, loss_before, loss from unlogged_work") == expected
+
+
 def test_gaps():
     def leg(day: int, number: int) -> dict:
         row = flight(day)
