@@ -3,21 +3,25 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import dagster as dg
 import polars as pl
 
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.design_table import design_parameters
+from hdt_core.calibration.drift_audit import audit_drift
+from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit, learn_baseline
 from hdt_core.flight.bleed import reject_odd_bleed
 from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.margin.control_schedules import learn_schedules
-from hdt_core.records.keys import LEG
+from hdt_core.records.keys import FLIGHT_PACK, LEG
 from hdt_core.records.packs import of_each_aircraft
 from hdt_core.tables.signals import SIGNALS
 from pipelines.assets.stage import StageResult, stage
-from pipelines.report.pictures import calibration_metadata
+from pipelines.report.plots import as_png, figure_12, figure_13, figure_15, outlet_residuals
 from pipelines.resources import Home
 from pipelines.storage.settings import accepted_terms
 from pipelines.storage.store import Store
@@ -76,3 +80,43 @@ LEGS, CONTROLLERS = "legs", "controllers"
 def laws_of(calibration_schedules: pl.DataFrame, name: str) -> str:
     """Return one set of laws in service, as JSON."""
     return str(calibration_schedules.filter(name=name)["laws"].item())
+
+
+def calibration_metadata(
+    samples: pl.DataFrame, twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
+) -> dict[str, Any]:
+    """Return figures, the comparison of equation (6)'s forms and the drift audit as Dagster's metadata.
+
+    Parameters
+    ----------
+    samples, twin_flights : DataFrame
+        Of the baseline: samples of the leg filter, and their estimates by `estimate_flights`.
+    """
+    audit, cruise = audit_drift(twin_flights, maintenance, dsm), _longest_cruise(samples)
+    own = twin_flights.join(cruise.select(FLIGHT_PACK).head(1), on=FLIGHT_PACK, validate="m:1")
+    figures = {
+        "figure_12": figure_12(twin_flights, dsm.compressor),
+        "figure_13": figure_13(twin_flights, dsm.compressor),
+        "figure_15": figure_15(outlet_residuals(cruise, own, dsm)),
+    }
+    images = {name: dg.MetadataValue.md(f"![figure]({as_png(figure)})") for name, figure in figures.items()}
+    return images | {
+        "equation_6": dg.MetadataValue.md(_table(pl.DataFrame(dsm.compressor.forms))),
+        "drift_audit": dg.MetadataValue.md(_table(audit)),
+        "units_that_drift": int(audit["drifts"].sum()),
+    }
+
+
+def _longest_cruise(samples: pl.DataFrame) -> pl.DataFrame:
+    """Select the cruise of the flight and pack with the most samples: continuous logs first."""
+    cruise = samples.filter(pl.col("monitored") & (pl.col("phase") == "cruise")).drop_nulls("hx_out_k")
+    ranked = cruise.group_by(FLIGHT_PACK).agg(pl.col("n_averaged").max(), pl.len().alias("n"))
+    best = ranked.sort(pl.col("n_averaged") > 1, "n", *FLIGHT_PACK, descending=True).head(1)
+    return cruise.join(best.select(FLIGHT_PACK), on=FLIGHT_PACK, how="semi")
+
+
+def _table(frame: pl.DataFrame) -> str:
+    """Format a small table as Markdown."""
+    cells = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in frame.rows()]
+    lines = [frame.columns, ["---"] * frame.width, *cells]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -19,10 +19,9 @@ from hdt_core.prognosis.training_digest import TrainingDigest
 from hdt_core.prognosis.unit_lives import life_table
 from hdt_core.records.keys import PACK
 from pipelines.assets.components import conform_all
-from pipelines.assets.stage import StageResult, stage
+from pipelines.assets.stage import stage
 from pipelines.learned import load_base, shipped_base, shipped_bytes
 from pipelines.lineage import DECLARED, LINEAGE, UPSTREAM
-from pipelines.report.pictures import PICTURE_FEATURES, night_pictures
 from pipelines.resources import Home
 from pipelines.storage.store import Store
 
@@ -44,7 +43,7 @@ def prognosis(
     calibration_schedules: pl.DataFrame,
     features_components: pl.DataFrame,
     home: Home,
-) -> StageResult:
+) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
     """Predict time to the failure message by the base corrected by lives of earlier months, each tail's by other tails.
 
     A base that scores worse than the one in service is not promoted. Losses of declared components are extrapolated to
@@ -58,17 +57,16 @@ def prognosis(
     candidate, in_service = load_base(prognosis_base["model"][0]), _model_in_service(stored, home.store)
     record = FleetRecord(features, raw_messages, raw_maintenance)
     update = update_model(candidate, in_service, record, _design(calibration_dsm, calibration_schedules))
-    pictures = night_pictures(features, update.prognoses, raw_maintenance)
     base = prognosis_base if not update.months or update.newest.model.hazard is candidate.hazard else stored
     lives = life_table(features, record.lives())
     inputs, declared = (features_components, raw_messages, raw_maintenance), recorded_components().values()
     prognoses = conform_all("prognoses", [update.prognoses, *(component_prognoses(*inputs, c) for c in declared)])
     lives = conform_all("prognosis_lives", [lives, *(component_life_table(*inputs, c) for c in declared)])
-    return StageResult((prognoses, _rows(update, base["model"][-1]), lives), pictures)
+    return prognoses, _rows(update, base["model"][-1]), lives
 
 
-FEATURE_COLUMNS = tuple(dict.fromkeys((*PACK, "flight_id", "departed_at", *LOSSES, *PICTURE_FEATURES)))
-"""Features that prognoses and pictures need, of 150; more would take memory on a large fleet."""
+FEATURE_COLUMNS = (*PACK, "flight_id", "departed_at", *LOSSES)
+"""Features that prognoses need, of 150; more would take memory on a large fleet."""
 
 
 def _design(calibration_dsm: pl.DataFrame, calibration_schedules: pl.DataFrame) -> str:

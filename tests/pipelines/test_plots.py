@@ -1,6 +1,7 @@
 """What a calibration shows of itself in Dagster, with a fleet and without one."""
 
 import base64
+import datetime as dt
 from dataclasses import replace
 
 import polars as pl
@@ -9,10 +10,11 @@ from known_fleet import fleet_with_truth
 
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.tables.raw import RawMaintenance
+from pipelines.assets.calibration import calibration_metadata
 from pipelines.report import figures
 from pipelines.report.facts import Facts
-from pipelines.report.pictures import calibration_metadata
-from pipelines.report.plots import as_svg, figure_12, figure_13, figure_15, outlet_residuals
+from pipelines.report.plots import around_replacement, as_svg, figure_12, figure_13, figure_15, outlet_residuals
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +90,23 @@ def test_residual_of_the_twin_is_what_its_flight_leaves_over(calibrated):
     # a flight's own level is its median: its samples scatter about zero by the sensors' noise
     assert abs(residuals["sensor_minus_twin"].median()) < 0.3
     assert residuals["sensor_minus_twin"].std() < 1.5
+
+
+def test_the_deepest_loss_before_a_replacement_is_shown_from_the_first_flight_after_it():
+    start, replaced = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC), 40
+    own = {"operator": "AAA", "pack": 1}
+    shares = [
+        own | {"tail": f"T-{k}", "flight_id": f"T-{k}_{n}", "departed_at": start + dt.timedelta(days=n)}
+        | {"ua_share": 1.0 - 0.001 * k * (n if n <= replaced else n - replaced)}
+        for k in range(1, 9) for n in range(80)
+    ]  # fmt: skip
+    work = {"component": "HX", "action": "REPLACED", "done_on": (start + dt.timedelta(days=replaced)).date()}
+    log = [own | work | {"tail": f"T-{k}"} for k in range(1, 9)]
+    maintenance = RawMaintenance.conform(pl.DataFrame(log))
+    replacement, rows = around_replacement(pl.DataFrame(shares).cast({"pack": pl.Int32}), maintenance)
+    assert replacement["tail"] == "T-8"
+    assert rows.filter(n=0)["departed_at"].item() == start + dt.timedelta(days=replaced + 1)
+    assert rows["n"].to_list() == list(range(-replaced - 1, 80 - replaced - 1))
 
 
 def test_without_a_flight_there_is_still_something_to_show(calibrated):
