@@ -80,13 +80,17 @@ def line(cloud=None, **more) -> Problem:
 
 @pytest.mark.parametrize("variance", [1.0, 4.0])
 def test_profiles_of_a_straight_line_are_its_deviations(variance):
-    problem = line()
+    cloud: list = []
+    problem = line(cloud)
     at = descend(problem, np.zeros(2))
     cov = np.linalg.inv(at.normal)
+    cloud.clear()
     half = np.sqrt(RISE * variance * np.diag(cov))
     assert pytest.approx(1.959964**2, rel=1e-6) == RISE
     profile = profile_intervals(problem, at, cov, variance)
     np.testing.assert_allclose(profile.interval, np.array([1.0, 0.5])[:, None] + np.outer(half, [-1.0, 1.0]), rtol=0.02)
+    passes = sum(theta[0].size for theta in cloud)  # of which a descent's first look at its start is not counted
+    assert 0.9 * passes < profile.n_evals <= passes
     assert not profile.open.any()
     assert profile.better is None
     fixed = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.5, 0.5]])), at, cov, variance)
