@@ -9,12 +9,13 @@ from scipy import stats
 
 from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, unknown
 from hdt_core.estimation.conclude import conclude, settle
-from hdt_core.estimation.descent import Point, distance_to_optimum, quadratic_model
+from hdt_core.estimation.descent import quadratic_model
 from hdt_core.estimation.fit import Fit, noise_variance
 from hdt_core.estimation.identifiability import Identifiability, covariance_of_free, fisher, invert_information
 from hdt_core.estimation.kalman_step import (
     Affine,
     LostTrackError,
+    compute_gain,
     innovate,
     is_moving,
     joint_belief,
@@ -174,18 +175,6 @@ def test_what_data_tell_and_what_they_do_not():
     assert is_regular
 
 
-def test_newtons_decrement_with_and_without_bounds():
-    normal, gradient = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([1.0, -0.5])
-    at, wide = Point(np.zeros(2), 1.0, gradient, normal), np.tile([-9.0, 9.0], (2, 1))
-    assert distance_to_optimum(at, wide) == pytest.approx(np.sqrt(gradient @ np.linalg.solve(normal, gradient)))
-    # the first is pressed against its lower bound, so only the second may move
-    pressed = np.array([[0.0, 9.0], [-9.0, 9.0]])
-    assert distance_to_optimum(at, pressed) == pytest.approx(0.5 / np.sqrt(2.0))
-    # a bound on the way: the best of a parabola that ends there
-    near = np.array([[0.0, 0.0], [-9.0, 0.1]])
-    assert distance_to_optimum(at, near) == pytest.approx(np.sqrt(2 * 0.5 * 0.1 - 2.0 * 0.1**2))
-
-
 def test_how_a_fit_ends_is_told():
     optimum = NonlinearLeastSquares().estimate(line())
     mean, sd = optimum.belief.mean, optimum.belief.sd
@@ -283,6 +272,10 @@ def test_a_kalman_step_is_the_conditional_normal():
     np.testing.assert_allclose(after.cov, cov - cov @ h.T @ np.linalg.solve(s, h @ cov), atol=1e-12)
     np.testing.assert_allclose(correction.precision, np.linalg.inv(s))
     np.testing.assert_allclose(correction.innovation, error)
+    alone = Belief(belief.mean[None], cov[None])  # as a batch of one
+    batch = update_belief(alone, compute_gain(alone, replace(model, spread=correction.noise[None]), measured[None]))
+    np.testing.assert_allclose(batch.mean, [after.mean])
+    np.testing.assert_allclose(batch.cov, [after.cov])
     one = update_belief(belief, innovate(belief, model, np.array([np.nan, -2.0]), sigma))
     gain = cov @ h[1] / s[1, 1]
     np.testing.assert_allclose(one.mean, belief.mean + gain * error[1])

@@ -141,6 +141,7 @@ def test_a_descent_from_where_there_is_no_answer_stays():
     ("normal", "gradient", "theta", "bounds", "distance"),
     [
         ([[1.0, 1.0], [1.0, 1.0]], [1.0, 1.0], [0, 0], [[-9, 9]] * 2, 1.0),  # one direction is unseen
+        ([[4.0, 1.0], [1.0, 2.0]], [1.0, -0.5], [0, 0], [[-9, 9]] * 2, np.sqrt(4.0 / 7.0)),  # none, and no bound near
         ([[4.0, 0.0], [0.0, 9.0]], [1.0, -3.0], [0, 0], [[-9, 9], [-9, 0]], 0.5),  # pressed against the upper bound
         ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-9, 9], [-9, 0]], np.sqrt(1.25)),
         ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-9, 9], [0, 0]], 0.5),  # held
