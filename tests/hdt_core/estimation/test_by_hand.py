@@ -313,12 +313,18 @@ def test_drift_and_process_noise_are_variances():
     fixed = joint_belief(line(bounds=np.array([[0.3, 0.3], [-1.0, 1.0]])))
     np.testing.assert_allclose(np.diag(fixed.cov), [0.0, 4.0 / 12.0])
     assert fixed.mean[0] == 0.3
+    prior = Belief(np.array([0.3, -0.5]), np.array([[4.0, 0.5], [0.5, 1.0]]))  # nor is one that has a prior
+    fixed = joint_belief(line(bounds=np.array([[0.3, 0.3], [-1.0, 0.0]]), prior=prior))
+    np.testing.assert_array_equal(fixed.cov, np.diag([0.0, 1.0]))
 
 
 def test_a_belief_beyond_a_bound_is_met_there_and_drags_the_others_along():
     belief = Belief(np.array([1.5, 0.0]), np.array([[1.0, 0.5], [0.5, 1.0]]))
     np.testing.assert_allclose(project_on_bounds(belief, np.array([-1.0, -1.0]), np.array([1.0, 1.0])), [1.0, -0.25])
     np.testing.assert_allclose(project_on_bounds(belief, np.array([-2.0, -1.0]), np.array([2.0, 1.0])), [1.5, 0.0])
+    for sign in (1.0, -1.0):  # one that lies on its bound is free to leave it
+        edge = Belief(sign * np.array([1.5, 1.0]), belief.cov)
+        np.testing.assert_allclose(project_on_bounds(edge, -np.ones(2), np.ones(2)), sign * np.array([1.0, 0.75]))
 
 
 def test_a_belief_by_hand():

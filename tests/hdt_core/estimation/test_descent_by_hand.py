@@ -142,6 +142,11 @@ def test_a_descent_from_where_there_is_no_answer_stays():
     [
         ([[1.0, 1.0], [1.0, 1.0]], [1.0, 1.0], [0, 0], [[-9, 9]] * 2, 1.0),  # one direction is unseen
         ([[4.0, 1.0], [1.0, 2.0]], [1.0, -0.5], [0, 0], [[-9, 9]] * 2, np.sqrt(4.0 / 7.0)),  # none, and no bound near
+        # nor is one with less than 1e-14 of the largest eigenvalue; with more it is followed to the bounds: 2 (9 + 9)
+        *(
+            ([[1.0, 1.0 - gap], [1.0 - gap, 1.0]], [1.0, -1.0], [0, 0], [[-9, 9]] * 2, d)
+            for gap, d in ((1.9e-14, 0.0), (2.1e-14, 6.0))
+        ),
         ([[4.0, 0.0], [0.0, 9.0]], [1.0, -3.0], [0, 0], [[-9, 9], [-9, 0]], 0.5),  # pressed against the upper bound
         ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-9, 9], [-9, 0]], np.sqrt(1.25)),
         ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-9, 9], [0, 0]], 0.5),  # held

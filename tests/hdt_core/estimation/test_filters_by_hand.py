@@ -236,6 +236,8 @@ def test_tangent_is_one_sided_on_a_bound_and_knows_no_spread():
     np.testing.assert_allclose(linear.slope @ [1.0, 0.5] + linear.offset, [0.5, 1.0], rtol=1e-9)
     assert not linear.spread.any()
     assert linear.spread.shape == (2, 2)
+    held = tangent(lambda z: z[:1] * z[1:], belief, np.array([2.0, -9.0]), np.array([2.0, 9.0]))
+    np.testing.assert_allclose(held.slope, [[0.0, 2.0]], atol=1e-9)
     # steps are the cube root of the rounding, of the value or of the deviation, which counts from 1e-6 to 1000
     ends: list = []
     at = Belief(np.array([0.0, 0.0, -7.0, 0.0]), np.diag([0.0, 5000.0**2, 1.0, 0.25]))
