@@ -42,6 +42,7 @@ def test_wear_is_brought_to_the_exchangers_by_the_loss_and_life_at_which_it_fail
     assert (own.level, own.level_sd, own.unit_sd, own.wear_step) == pytest.approx(
         (0.0, 0.1 / size, 0.04 / size, 0.01 / size)
     )
+    assert (own.clog, own.fault_chance, own.offset_bin) == ((0.2, 0.2), 1e-6, 0.03)
     assert own.paces[1] == pytest.approx((0.45, 5e-4, 4e-4, 6e-5 / 8**0.5, 6e-5 / 8**0.5))
     param = replace(VALVE.param("valve_loss"), unit_sd=0.07)
     assert wear_settings(COMPONENT, param, DesignOffset())[1].unit_sd == pytest.approx(0.07 / size)
@@ -58,6 +59,11 @@ def test_flights_scatter_as_the_steps_of_their_pack_show(n, scatter):
     values = np.tile([0.0, 0.03], n)[:n]
     assert scatter_sd(values, np.full(n, 0.01**2)) == pytest.approx(scatter)
     assert scatter_sd(np.insert(values, 3, np.nan), np.full(n + 1, 0.01**2)) == pytest.approx(scatter)
+    deposit = replace(VALVE.param("valve_loss"), bounds=(-0.1, 1.5))
+    size = wear_settings(COMPONENT, deposit, DesignOffset())[0]
+    rows = flights(n, valve_loss=list(size * values), valve_loss_sd=0.01 * size)
+    variance = _loss(rows, deposit, COMPONENT, DesignOffset()).observations[1]
+    np.testing.assert_allclose(variance, 0.01**2 + scatter**2)
 
 
 def test_a_flight_that_says_nothing_is_predicted():
