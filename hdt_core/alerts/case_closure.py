@@ -13,6 +13,7 @@ import polars as pl
 from hdt_core.alerts.cases import Case, Limits, case_id, fact_after, runs
 from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis
 from hdt_core.alerts.grid import Grid
+from hdt_core.alerts.wear import RISE_MARGIN
 from hdt_core.health.detection import Array, persistent
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import date_entries, select_entries
@@ -21,8 +22,6 @@ NO_FAULT, INSPECTIONS = "NO_FAULT_FOUND", ("INSPECTED",)
 RENEWED, FOUND_CLEAN = "renewed", "found_clean"
 LOSS = {"HX_FOULING": "hx_fouling", "HX_SUDDEN_CLOG": "hx_fouling", "CC_DEGRADED": "cc_efficiency_loss"}
 """Feature of the loss that a case of wear rests on."""
-LOSS_GROWTH = 0.03
-"""Growth of loss since an inspection beyond the scatter of a settled track: as `wear.RISE_MARGIN`. [-]"""
 LIMIT_NAMES = {"HX_FOULING": "fouling", "CC_DEGRADED": "compressor"}
 """Limit of `Limits` that the growth since the inspection must exceed before wear is called again."""
 
@@ -88,7 +87,7 @@ def _moments_after_last_flight(
 def apply_inspections(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], limits: Limits) -> list[Case]:
     """Drop cases of a loss that an inspection has cleared, and add sensor cases where that loss grows on.
 
-    After an inspection without a finding, growth of the loss by `LOSS_GROWTH` raises a sensor case; wear is called
+    After an inspection without a finding, growth of the loss by `wear.RISE_MARGIN` raises a sensor case; wear is called
     again only for a growth that would raise a case on a new part.
     """
     cleared_cases = [case for case in cases if case.closed_reason == FOUND_CLEAN and case.diagnosis in LOSS]
@@ -125,7 +124,7 @@ def _contradictions(grid: Grid, maintenance: pl.DataFrame, case: Case, limits: L
     start, end, level = _span(grid, maintenance, case)
     loss = grid.track(LOSS[case.diagnosis], case.unit)
     growth = (loss[start:end] - level)[None]
-    has_grown = persistent(growth > LOSS_GROWTH, *limits.wear_persistence, keep=growth > 0.5 * LOSS_GROWTH)
+    has_grown = persistent(growth > RISE_MARGIN, *limits.wear_persistence, keep=growth > 0.5 * RISE_MARGIN)
     facts = {
         "kind": "contradicted", "since": start, "of": case.component, "level": level,
         "looked_on": _inspection_day(grid, maintenance, case), "follows": case_id(grid, case),

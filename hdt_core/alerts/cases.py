@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hdt_core.alerts.grid import Grid
+from hdt_core.components.compressor import CC
 from hdt_core.components.exchanger import HX
 from hdt_core.health.detection import Array
 
@@ -18,6 +19,8 @@ DIAMETER_SD = 0.022
 """Flight-to-flight scatter of the effective diameter of a sound compressor, relative. [-]"""
 FAILS_AT = HX.limit.mean
 """Loss of conductance at which packs of the first fleets ran out of ram door; used where the margin is unknown."""
+WEAR_LIMIT = 0.05
+"""Loss from which a unit counts as worn at all. [-]"""
 Persistence = tuple[int, int, int]
 """Flagged flights of how many open a case, and flights since the last that keeps it which close it. [flights]"""
 
@@ -58,7 +61,7 @@ class Limits:
         Flights that open and close a case of wear, clog, margin, compressor, jam and dropout.
     """
 
-    fouling: float = 0.15
+    fouling: float = HX.warn_loss
     fouling_odds: float = 0.7
     fouling_soon: float = 0.09
     soon_odds: float = 0.8
@@ -68,7 +71,7 @@ class Limits:
     ram_flow: float = 0.04
     passage: float = 0.9
     passage_keep: float = 0.6
-    compressor: float = 0.05
+    compressor: float = CC.warn_loss
     compressor_odds: float = 0.9
     compressor_excess: float = 1.2
     compressor_keep: float = 0.7

@@ -14,6 +14,8 @@ from hdt_core.alerts.cases import REPAIR, Case
 from hdt_core.alerts.evidence import Evidence
 from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.wording import Facts
+from hdt_core.components.compressor import CC
+from hdt_core.components.exchanger import HX
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +84,8 @@ DIAGNOSES = {
             code="HX_FOULING",
             component="HX",
             name="heat exchanger fouling",
-            action="Plan a wash or replacement of the heat exchanger (ATA 21-52, remove/install); "
-            "look at ram inlet and core face first",
-            ended_by=("REPLACED", "CLEANED"),
+            action=HX.action,
+            ended_by=HX.ended_by,
             severity=wording.exchanger_severity,
             evidence=wording.exchanger,
             features=_EXCHANGER,
@@ -95,7 +96,7 @@ DIAGNOSES = {
             name="heat exchanger clogged suddenly",
             action="Inspect ram air inlet and core face for foreign objects before the next long sector "
             "(ATA 21-52, detailed visual inspection)",
-            ended_by=("REPLACED", "CLEANED"),
+            ended_by=HX.ended_by,
             severity=lambda facts: "high",
             evidence=wording.clog,
             features=_EXCHANGER,
@@ -106,7 +107,7 @@ DIAGNOSES = {
             name="little cooling margin left",
             action="Not a new exchanger alone: check target, flow schedule and ram door travel (ATA 21-53, rigging), "
             "keep the aircraft off hot sectors where it can be, and wash at the next stop",
-            ended_by=("REPLACED", "CLEANED"),
+            ended_by=HX.ended_by,
             severity=lambda facts: "high" if facts["hx_passage_100"] > 0.5 else "medium",
             evidence=wording.low_margin,
             features=(*_EXCHANGER, *_MARGIN),
@@ -116,8 +117,8 @@ DIAGNOSES = {
             code="CC_DEGRADED",
             component="CC",
             name="compressor worn",
-            action="Borescope the cabin air compressor and check its diffuser actuator (ATA 21-51); plan replacement",
-            ended_by=("REPLACED",),
+            action=CC.action,
+            ended_by=CC.ended_by,
             severity=lambda facts: "medium",
             evidence=wording.compressor,
             features=_COMPRESSOR,

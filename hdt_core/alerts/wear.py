@@ -4,8 +4,10 @@ import numpy as np
 import polars as pl
 from scipy.special import ndtr
 
-from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, REPAIR, Case, Limits, fact_after, runs
+from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, REPAIR, WEAR_LIMIT, Case, Limits, fact_after, runs
 from hdt_core.alerts.grid import Grid
+from hdt_core.components.compressor import CC
+from hdt_core.components.exchanger import HX
 from hdt_core.health.detection import Array, Cusum, lingering, persistent, since, watch
 
 SETTLED_FLIGHTS = 5
@@ -23,9 +25,6 @@ BEYOND_DOUBT = 0.05
 """Loss beyond its limit at which a worn exchanger that has a case of little margin gets one of wear: two sigma. [-]"""
 SAME_CLOG = 40
 """Flights within which a jump and the loss it leads to are one case."""
-DIAMETER_LOSS = 0.025
-"""Loss of effective diameter at an efficiency loss of 5 %: equation (5) takes the root of efficiency. [-]"""
-
 MARGIN_SETTLED_FLIGHTS = 1
 """Flights of a new or washed unit before its margin counts; the rule needs four of five flights anyway."""
 MARGIN_FACTS = ("hx_margin_k", "hx_passage_300", "hx_fouling", "hx_fouling_sd", "overheat_p20_k")
@@ -39,7 +38,7 @@ def hx_cases(
     Icing has melted by the next flight and never persists. Where a shop visit is planned for little margin already
     (`visit_planned`), a second case of the same exchanger waits until its wear is beyond doubt.
     """
-    restart = grid.worked_on(maintenance, ("HX",), ("REPLACED", "CLEANED"))
+    restart = grid.worked_on(maintenance, ("HX",), HX.ended_by)
     loss, sd, step = grid.values("hx_fouling"), grid.values("hx_fouling_sd"), grid.values("hx_fouling_step_3")
     is_settled = (since(restart) > SETTLED_FLIGHTS) & ~(step < -limits.clog)
     reliable = is_settled & (~lingering(doubtful, FAULT_ECHO) | (loss > limits.fouling + FAULT_ALLOWANCE))
@@ -50,8 +49,8 @@ def hx_cases(
     keep = np.fmax(loss, gain) > limits.fouling_keep * limits.fouling_soon
     is_fouled = persistent(sure & reliable, *limits.wear_persistence, keep=keep, restart=restart)
     may_be_blockage = ~(grid.values("ram_flow_loss_step_3") < limits.ram_flow)
-    jump_flags = (step > limits.clog) & (np.fmax(loss, gain) > 0.05) & ~_returns_after_recovery(step, restart, limits)
-    jump_flags &= may_be_blockage & reliable & ~_after_repair(grid, maintenance)
+    jump_flags = (step > limits.clog) & ~_returns_after_recovery(step, restart, limits)
+    jump_flags &= (np.fmax(loss, gain) > WEAR_LIMIT) & may_be_blockage & reliable & ~_after_repair(grid, maintenance)
     is_clogged = persistent(jump_flags, *limits.clog_persistence, restart=restart)
     cases = [_hx(grid, "HX_SUDDEN_CLOG", run, gain) for run in runs(is_clogged, restart)]
     for unit, first, end in runs(is_fouled, restart):
@@ -132,7 +131,7 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
     open; a new exchanger does not help there. Packs without `hx_passage_300` have no case. `doubtful` (units, flights):
     a door or the outlet is in doubt.
     """
-    restart = grid.worked_on(maintenance, ("HX",), ("REPLACED", "CLEANED"))
+    restart = grid.worked_on(maintenance, ("HX",), HX.ended_by)
     soon, loss = np.nan_to_num(grid.values("hx_passage_300")), grid.values("hx_fouling")
     sure = (soon > limits.passage) & (since(restart) > MARGIN_SETTLED_FLIGHTS) & ~doubtful
     sure = grid.as_observed(sure, "hx_fouling", restart)
@@ -154,7 +153,7 @@ def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Ar
 
     `doubtful` (units, flights): a sensor of the pack is at fault.
     """
-    restart = grid.worked_on(maintenance, ("CC",), ("REPLACED",))
+    restart = grid.worked_on(maintenance, ("CC",), CC.ended_by)
     loss, sd = grid.values("cc_efficiency_loss"), grid.values("cc_efficiency_loss_sd")
     sure = (
         (odds_above(loss, sd, limits.compressor) > limits.compressor_odds)
@@ -165,7 +164,8 @@ def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Ar
     by_efficiency = persistent(
         sure, *limits.compressor_persistence, keep=loss > limits.compressor_keep * limits.compressor, restart=restart
     )
-    diameter = _diameter(grid, restart)
+    # equation (5) takes the root of efficiency
+    diameter = _diameter(grid, restart, 0.5 * limits.compressor)
     has_efficiency = np.logical_or.accumulate(np.isfinite(loss), axis=1)
     by_diameter = (diameter[:, :, 1] > 0.5) & ~has_efficiency & ~doubtful
     cases = []
@@ -179,7 +179,7 @@ def _hx(grid: Grid, diagnosis: str, run: tuple[int, int, int | None], gain: Arra
     """Return a case of an exchanger with its facts; `gain` (units, flights): of `loss_rise`."""
     unit, first, end = run
     jump = float(grid.track("hx_fouling_step_3", unit)[first])
-    facts = {"since": _last_start(grid.track("hx_fouling", unit)[: first + 1] > 0.05), "jump": jump}
+    facts = {"since": _last_start(grid.track("hx_fouling", unit)[: first + 1] > WEAR_LIMIT), "jump": jump}
     return Case(unit, "HX", diagnosis, first, end, facts, fact_after("gained", gain[unit]))
 
 
@@ -188,12 +188,12 @@ def _last_start(flags: Array) -> int:
     return int(np.flatnonzero(np.append(True, ~flags))[-1])
 
 
-def _diameter(grid: Grid, restart: Array) -> Array:
-    """Return the change of ln diameter since the unit's first flights, and whether it shrank. (units, flights, 2)"""
+def _diameter(grid: Grid, restart: Array, limit: float) -> Array:
+    """Return the change of ln diameter since the start, and whether its loss exceeds `limit`. (units, flights, 2)"""
     diameter = np.where(grid.flags("running"), grid.values("cc_effective_diameter_m"), np.nan)
     settings = Cusum(slack=0.75, clear=1.0, learn_flights=20, memory_flights=10**6)
     shift = watch(np.log(diameter)[:, :, None], np.array([DIAMETER_SD]), restart[:, :, None], settings)
-    smaller = shift.alarm & (shift.sum_low > shift.sum_high) & (shift.departure < -DIAMETER_LOSS)
+    smaller = shift.alarm & (shift.sum_low > shift.sum_high) & (shift.departure < -limit)
     return np.concatenate([shift.departure, smaller.astype(float)], axis=2)
 
 

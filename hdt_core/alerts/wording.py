@@ -8,14 +8,12 @@ from typing import Any
 from scipy.special import ndtr
 
 from hdt_core.alerts import phrases
-from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT
+from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, WEAR_LIMIT
 from hdt_core.alerts.evidence import AGAINST, NEUTRAL, SUPPORTS, Corroboration, Evidence
 from hdt_core.robust import Z_90
 
 Facts = Mapping[str, Any]
 """Facts of a case at one moment, by name; NaN where not recorded."""
-WEAR_LIMIT = 0.05
-"""Loss from which a unit counts as worn at all. [-]"""
 PEG_SD_K = 0.33
 """Scatter, over sound flights, of the outlet where the door is widest less the outlet elsewhere. [K]"""
 ESTIMATE_SENSORS = ("hx_out_k", "hx_in_k", "pack_flow_kg_s", "tat_k")

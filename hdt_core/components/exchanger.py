@@ -17,6 +17,7 @@ HX = Component(
     action="Plan a wash or replacement of the heat exchanger (ATA 21-52, remove/install); "
     "look at ram inlet and core face first",
     message_code="21-52-HXTEMP",
+    warn_loss=0.15,
     ended_by=(REPLACED, CLEANED),
     around_work=(10, 1),
     needs={"hx_fouling": _UA, "hx_h_hot_w_k": (*_UA, "ram_out_degc"), "hx_h_cold_w_k": (*_UA, "ram_out_degc")},

@@ -14,7 +14,7 @@ from hdt_core.records.packs import join_other_pack
 from hdt_core.robust import MEDIAN_SD, spread_expr
 
 DOOR_FREE = (0.08, 0.92)  # between its stops the controller holds the outlet at its target, whatever the wear
-SMOOTHED_FLIGHTS = 7
+SMOOTHED_FLIGHTS = 7  # of the running medians of checks and conductance
 FAULT_SD = 4.0  # of the smoothed check's noise on the pack
 SINGLE_FLIGHT = 2.5  # times the tolerance: so far off, one flight is enough
 LAW_TERMS = ("altitude_m", "tat_k")
@@ -175,12 +175,14 @@ def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:
         (pl.col("hx_out_k") - pl.col("other_hx_out_k")).filter(both_free).mean().alias("outlet_between_packs_k"),
         (pl.col("hx_out_k") - pl.col("law_k")).filter(both_free).mean().alias("outlet_above_law_k"),
         (pl.col("cc_in_k") - pl.col("tat_k")).mean().alias("inlet_minus_tat_k"),
-        _ln_ratio("cc_in_pa", "total_pressure_pa").filter(cruise).mean().alias("inlet_over_total_pressure_ln"),
-        _ln_ratio("pack_flow_kg_s", "cc_flow_kg_s").filter(cruise).mean().alias("pack_over_compressor_flow_ln"),
-        _ln_ratio("pack_flow_kg_s", "other_pack_flow_kg_s").filter(cruise).mean().alias("pack_flow_between_packs_ln"),
+        ln_ratio("cc_in_pa", "total_pressure_pa").filter(cruise).mean().alias("inlet_over_total_pressure_ln"),
+        ln_ratio("pack_flow_kg_s", "cc_flow_kg_s").filter(cruise).mean().alias("pack_over_compressor_flow_ln"),
+        ln_ratio("pack_flow_kg_s", "other_pack_flow_kg_s").filter(cruise).mean().alias("pack_flow_between_packs_ln"),
         pl.col("pack_flow_kg_s").log().filter(cruise).mean().alias("pack_flow_ln"),
     )
 
 
-def _ln_ratio(top: str, bottom: str) -> pl.Expr:
-    return pl.when((pl.col(top) > 0.0) & (pl.col(bottom) > 0.0)).then((pl.col(top) / pl.col(bottom)).log())
+def ln_ratio(top: str, bottom: str, least: float = 0.0) -> pl.Expr:
+    """Return the ln ratio of two readings; null where one is missing or not above `least`."""
+    good = (pl.col(top) > least) & (pl.col(bottom) > least)
+    return pl.when(good).then((pl.col(top) / pl.col(bottom)).log())

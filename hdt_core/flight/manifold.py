@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
+from hdt_core.physics.model import Array
 from hdt_core.records.keys import LEG
 from hdt_core.robust import MAD_TO_SD, huber_slopes
-
-Array = NDArray[np.float64]
 
 BLOCK_FLIGHTS = 10
 """Flights within which wear is nearly constant: an offset for each block removes it from the regression."""

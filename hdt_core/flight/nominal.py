@@ -11,12 +11,12 @@ import polars as pl
 from scipy.stats import chi2
 from sklearn.covariance import MinCovDet
 
+from hdt_core.flight.cross_checks import SMOOTHED_FLIGHTS
 from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import number_units
 from hdt_core.robust import MAD_TO_SD
 
 UNIT = [*PACK, "unit"]
-SMOOTHED_FLIGHTS = 7
 WORN_INDEX = 0.09  # drop of the conductance index, about the fraction of conductance lost
 CLEAN_QUANTILE = 0.9  # of a unit's smoothed level: its clean state, robust to noise and a few strays
 UNIT_SD = 0.05  # of clean units about each other: conductance as made, and constant sensor errors

@@ -10,7 +10,7 @@ from hdt_core.records.keys import AIRCRAFT, FLIGHT, PACK
 # flights late
 AROUND_MAINTENANCE = {**{c.code: c.around_work for c in (HX, CC)}, "RAM_DOOR": (15, 1), "SENSOR": (15, 1)}
 # messages of the pack's own exchanger and compressor; others (trim air, cabin fans) do not concern it
-AROUND_MESSAGE = {"21-52": (10, 5), "21-51": (10, 5)}
+AROUND_MESSAGE = {str(HX.message_code)[:5]: (10, 5), str(CC.message_code)[:5]: (10, 5)}
 # an inspection changes nothing, and the flights around a wash show by themselves how foul the exchanger was
 HARMLESS = ("INSPECTED", "CLEANED")
 LONGEST_PAUSE = "21d"

@@ -9,7 +9,8 @@ import polars as pl
 
 from hdt_core.calibration.arrays import departure
 from hdt_core.calibration.flight_estimates import RUNNING_KG_S
-from hdt_core.margin.control_schedules import DOOR_FREE, ControlSchedules, has_authority, learn_schedules
+from hdt_core.flight.cross_checks import ln_ratio
+from hdt_core.margin.control_schedules import FULL_OPEN, ControlSchedules, has_authority, learn_schedules
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import LEG
 from hdt_core.records.packs import join_other_pack
@@ -90,7 +91,7 @@ def _setting() -> list[pl.Expr]:
     """Return the conditions of the cruise."""
     door = pl.col("ram_door_open")
     median = [pl.col(c).median().alias(name) for c, name in CRUISE_MEDIANS.items()]
-    return [*median, door.median().alias("door_median"), (door > DOOR_FREE[1]).mean().alias("door_full_open_share")]
+    return [*median, door.median().alias("door_median"), (door > FULL_OPEN).mean().alias("door_full_open_share")]
 
 
 def _with_schedules(samples: pl.DataFrame, schedules: ControlSchedules) -> pl.DataFrame:
@@ -118,24 +119,18 @@ def _pair_packs(samples: pl.DataFrame) -> pl.DataFrame:
     return join_other_pack(samples, signals, ("time_utc", "source"))
 
 
-def _log_ratio(top: str, bottom: str, least: float = 0.0) -> pl.Expr:
-    """Return the ln ratio of two readings; null where one is missing or not above `least`."""
-    good = (pl.col(top) > least) & (pl.col(bottom) > least)
-    return pl.when(good).then((pl.col(top) / pl.col(bottom)).log())
-
-
 _BOTH_RUN = (pl.col("pack_flow_kg_s") > RUNNING_KG_S) & (pl.col("other_pack_flow_kg_s") > RUNNING_KG_S)
 
 LEVEL_CHECKS: dict[str, pl.Expr] = {
     "inlet_minus_tat_k": pl.col("cc_in_k") - pl.col("tat_k"),
-    "inlet_over_total_pressure_ln": _log_ratio("cc_in_pa", "total_pressure_pa"),
-    "total_over_pitot_pressure_ln": _log_ratio("total_pressure_pa", "pitot_pa"),
-    "pack_over_compressor_flow_ln": _log_ratio("pack_flow_kg_s", "cc_flow_kg_s", RUNNING_KG_S),
+    "inlet_over_total_pressure_ln": ln_ratio("cc_in_pa", "total_pressure_pa"),
+    "total_over_pitot_pressure_ln": ln_ratio("total_pressure_pa", "pitot_pa"),
+    "pack_over_compressor_flow_ln": ln_ratio("pack_flow_kg_s", "cc_flow_kg_s", RUNNING_KG_S),
     "tat_between_packs_k": pl.col("tat_k") - pl.col("other_tat_k"),
-    "total_pressure_between_packs_ln": _log_ratio("total_pressure_pa", "other_total_pressure_pa"),
-    "pack_flow_between_packs_ln": _log_ratio("pack_flow_kg_s", "other_pack_flow_kg_s", RUNNING_KG_S),
-    "compressor_flow_between_packs_ln": _log_ratio("cc_flow_kg_s", "other_cc_flow_kg_s", RUNNING_KG_S),
-    "cc_out_pressure_between_packs_ln": pl.when(_BOTH_RUN).then(_log_ratio("cc_out_pa", "other_cc_out_pa")),
+    "total_pressure_between_packs_ln": ln_ratio("total_pressure_pa", "other_total_pressure_pa"),
+    "pack_flow_between_packs_ln": ln_ratio("pack_flow_kg_s", "other_pack_flow_kg_s", RUNNING_KG_S),
+    "compressor_flow_between_packs_ln": ln_ratio("cc_flow_kg_s", "other_cc_flow_kg_s", RUNNING_KG_S),
+    "cc_out_pressure_between_packs_ln": pl.when(_BOTH_RUN).then(ln_ratio("cc_out_pa", "other_cc_out_pa")),
     "cc_out_pressure_over_schedule_ln": pl.when(
         (pl.col("cc_out_pa") > 0) & (pl.col("pack_flow_kg_s") > RUNNING_KG_S)
     ).then(pl.col("cc_out_pa").log() - pl.col("delivery_shape_ln")),

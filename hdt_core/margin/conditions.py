@@ -8,7 +8,8 @@ pack.
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hdt_core.physics.model import Array
+
 Index = NDArray[np.int_]
 
 WINDOW_FLIGHTS, RECENT_FLIGHTS = 150, 40

@@ -19,7 +19,9 @@ from hdt_core.json_values import with_tuples
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG, PACK
 from hdt_core.robust import huber_slopes, spread
 
-DOOR_FREE = (0.08, 0.95)
+FULL_OPEN = 0.95
+"""Opening above which the ram door is full open: two per cent of sensor error, and a flat end of travel. [-]"""
+DOOR_FREE = (0.08, FULL_OPEN)
 """Between these openings the door has authority: outside, the outlet may leave its target."""
 LEARNING_FLIGHTS = 60
 """First flights of each aircraft, from which the schedules are learned (the declared baseline window)."""

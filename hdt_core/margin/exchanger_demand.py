@@ -16,7 +16,7 @@ from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import RUNNING_KG_S
 from hdt_core.calibration.inlet_law import full_open_inlet_k
 from hdt_core.margin.compressor_demand import compressor_demand
-from hdt_core.margin.control_schedules import ControlSchedules, has_authority
+from hdt_core.margin.control_schedules import FULL_OPEN, ControlSchedules, has_authority
 from hdt_core.margin.curves import falls_through
 from hdt_core.margin.reference_air import hot_day_tat_k, reference_air
 from hdt_core.physics.heat_exchanger import outlets_k
@@ -26,8 +26,6 @@ from hdt_core.records.keys import FLIGHT_PACK
 
 HIGH_M = 4572.0
 """15,000 ft: below, the pack runs in warm air for minutes without a message. [m]"""
-FULL_OPEN = 0.95
-"""Opening above which the ram door is full open: two per cent of sensor error, and a flat end of travel. [-]"""
 SHARES = (0.2, 0.5)
 """Shares of a flight's high samples with a critical ratio each: the hottest fifth, the hotter half. [-]"""
 EXCESS_K = (-20.0, -10.0, 0.0, 5.0, 10.0)

@@ -11,16 +11,14 @@ References
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from hdt_core.margin.conditions import DEMAND_NAMES, LEVELS, demand_quantiles, repeated_demand
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K
 from hdt_core.margin.margin import PRIOR_RULE, at_excess
+from hdt_core.physics.model import Array
 from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.packs import number_packs
-
-Array = NDArray[np.float64]
 
 RATE, RATE_SD = 0.0012, 0.0012
 """Ln conductance lost a flight, and its spread over units: a life of some 400 flights to a loss of 0.38. [1/flight]"""

@@ -14,6 +14,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
+from hdt_core.flight.cross_checks import TOLERANCE
 from hdt_core.records.packs import join_other_pack, split_packs
 
 
@@ -40,9 +41,9 @@ REDUNDANT_SENSORS = (
     # a door that reads wrong moves the ratio of cruise, and that of climb and descent by twice as much
     # it confirms itself: a few samples of climb may err for a flight or two, but not for ten one way
     RedundantSensor("door_apart_ln", "", 0.04, "door_apart_ln", LONG, n_confirm=10),
-    RedundantSensor("exit_apart_k", "ratio_per_exit_k", 1.2),
-    RedundantSensor("flows_apart_ln", "ratio_per_ln_flow", 0.03),
-    RedundantSensor("tat_apart_k", "ratio_per_tat_k", 0.8, "other_tat_apart_k", LONG),
+    RedundantSensor("exit_apart_k", "ratio_per_exit_k", TOLERANCE["outlet_between_packs_k"]),
+    RedundantSensor("flows_apart_ln", "ratio_per_ln_flow", TOLERANCE["pack_over_compressor_flow_ln"]),
+    RedundantSensor("tat_apart_k", "ratio_per_tat_k", TOLERANCE["inlet_minus_tat_k"], "other_tat_apart_k", LONG),
 )
 GATE_SD = 4.0
 RATIO_MEMORY, SHIFT_MEMORY = 6.0, 8.0
