@@ -9,6 +9,7 @@ import polars as pl
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.compressor_fit import BLADE_ANGLE_RAD, BLADE_ANGLE_SD_RAD, HUB_RATIO, inlet_geometry
 from hdt_core.calibration.dsm import Dsm
+from hdt_core.estimation.panel import forward_differences
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import core_values
 from hdt_core.physics.model import Array
@@ -128,9 +129,8 @@ def flow_elasticities(design: Array, hot_flow_kg_s: float, ram_flow_kg_s: float)
 
 def _with_slopes(design: Array, flows_kg_s: tuple[float, float]) -> tuple[Array, Array]:
     """Compute elasticities and their derivatives by the design vector, (2,) and (2, p)."""
-    n = len(hx.NAMES)
-    values = flow_elasticities(design[:, None] + 1e-5 * np.eye(n, n + 1, 1), *flows_kg_s)
-    return values[:, 0], (values[:, 1:] - values[:, :1]) / 1e-5
+    values, step = flow_elasticities(design, *flows_kg_s), np.full(design.size, hx.STEP)
+    return values, forward_differences(lambda d: flow_elasticities(d, *flows_kg_s), design, values, step)
 
 
 def _exponential(value: Mapping[str, float], error: Mapping[str, float], name: str) -> tuple[float, float]:

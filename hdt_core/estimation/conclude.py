@@ -165,14 +165,13 @@ def _check_optimum(point: Point, test: OptimumTest | None, problem: Problem, cov
     test = check_optima(problem, [point], np.array([variance]))[0] if test is None else test
     if test.better is not None:
         return _Checks("local_optimum", test.n_evals, better=test.better.theta)
-    passes = test.n_evals + 2 * point.theta.size
     if not test.is_bent:
-        return _check_ranges(problem, cov, variance, passes)
+        return _check_ranges(problem, cov, variance, test.n_evals)
     profile = profile_intervals(problem, point, cov, variance)
     status: Status = "weakly_identifiable" if profile.without_limit else "converged"
     if profile.better is not None:
         status = "local_optimum"
-    return _Checks(status, passes + profile.n_evals, profile, profile.better, profile.without_limit)
+    return _Checks(status, test.n_evals + profile.n_evals, profile, profile.better, profile.without_limit)
 
 
 def _check_ranges(problem: Problem, cov: Array, variance: float, passes: int = 0) -> _Checks:

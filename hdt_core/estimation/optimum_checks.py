@@ -61,7 +61,7 @@ class Profile:
 
 @dataclass(frozen=True, slots=True)
 class OptimumTest:
-    """Whether the likelihood departs from its curvature about an optimum, a better optimum, and its search's passes."""
+    """Whether the likelihood departs from its curvature about an optimum, a better one, and the passes they took."""
 
     is_bent: bool
     better: Point | None = None
@@ -76,13 +76,14 @@ def check_optima(problem: Problem, optima: Sequence[Point], variances: Array) ->
     variances : array (b,)
         Of the noise over the declared one.
     """
-    tests = list(map(OptimumTest, is_nonquadratic(problem, optima, variances).tolist()))
+    passes = 2 * int(np.count_nonzero(problem.bounds[:, 0] < problem.bounds[:, 1]))
+    tests = [OptimumTest(bool(bent), n_evals=passes) for bent in is_nonquadratic(problem, optima, variances)]
     misfits = np.flatnonzero(variances > 1.0)
     for numbers in np.split(misfits, range(AT_ONCE, len(misfits), AT_ONCE)):
         ends = better_optima(problem.select(numbers), [optima[b] for b in numbers]) if len(numbers) else []
         for b, (end, n_evals) in zip(numbers, ends, strict=True):
             is_better = optima[b].objective - end.objective > _worth(float(variances[b]))
-            tests[b] = replace(tests[b], better=end if is_better else None, n_evals=n_evals)
+            tests[b] = replace(tests[b], better=end if is_better else None, n_evals=passes + n_evals)
     return tests
 
 

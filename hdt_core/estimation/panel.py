@@ -15,20 +15,18 @@ References
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solveh_banded
 
 from hdt_core.estimation.conclude import rests_on_bound
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.identifiability import Identifiability, covariance_of_free
-from hdt_core.estimation.problem import Array, Belief
+from hdt_core.estimation.problem import Array, Belief, Integers
 from hdt_core.robust import group_means
 
 MAX_STEP = 0.5  # of a parameter of the order of one, in one iteration
-Integers = npt.NDArray[Any]
 Residual = Callable[[Array, Array], Array]
 """Of the design (p,) and the parameters of each row's unit (q, n): (n,), NaN where a row is unusable."""
 
