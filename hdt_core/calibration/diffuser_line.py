@@ -11,6 +11,8 @@ import polars as pl
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.components.compressor import CC
+from hdt_core.estimation.panel import Equation, Panel, PanelLeastSquares, Walk
+from hdt_core.estimation.problem import unknown
 from hdt_core.physics.model import declared
 from hdt_core.records.keys import PACK
 from hdt_core.robust import group_means, huber_weights, spread, spread_expr
@@ -18,7 +20,9 @@ from hdt_core.robust import group_means, huber_weights, spread, spread_expr
 BLOCK_FLIGHTS = 20
 """Flights within which a compressor hardly wears; also those from which a level as built is taken."""
 VDA_NOISE_COUNTS = declared(CC.model.signal("vda_counts").sigma)
-HUBER_STEPS = 8
+SCATTER, LEVEL_SD = 0.03, 1e3
+"""Scatter of a sample about the line as a share of it, the paper's 5.5 mm; nothing is assumed of a level."""
+COUNTS, STEP, STILL = 1e3, 1e-4, Walk(step_sd=1.0, time_sd=0.0, first_sd=1e-6)
 FAR_SD = 4.0
 """Robust standard deviations beyond which a position is a spike of its sensor: one would bias a slope."""
 
@@ -66,34 +70,26 @@ class Line:
 
 def fit_line(rows: BlockRows) -> Line:
     """Fit the shared line, its slope corrected for the attenuation by noise in the positions."""
-    slope, level, weight = _fit_slope(rows)
-    deviation = rows.x - group_means(rows.x[:, None], rows.block, weight)[0][rows.block, 0]
-    reliable = 1.0 - min(VDA_NOISE_COUNTS**2 / float(np.average(deviation**2, weights=weight)), 0.5)
-    centre = float(np.average(rows.x, weights=weight))
-    residual = rows.y - _line_values(rows, slope, level, centre)
-    slope_sd = _clustered_sd(deviation, residual, rows.flight, weight) / reliable
-    return Line(slope / reliable, slope_sd, level, centre, residual)
+    centre, size = float(rows.x.mean()), float(np.median(rows.y))
+    estimate, of_block = PanelLeastSquares().estimate(line_panel(rows, centre, size))
+    level, steepness = size * of_block[:, 0], float(estimate.belief.mean[0]) / COUNTS
+    residual = rows.y - level[rows.block] * (1.0 + steepness * (rows.x - centre))
+    weight = huber_weights(np.abs(residual), spread(residual))
+    deviation = rows.x - group_means(rows.x[:, None], rows.block, np.ones(len(weight)))[0][rows.block, 0]
+    reliable = 1.0 - VDA_NOISE_COUNTS**2 / max(float((deviation**2).mean()), 2.0 * VDA_NOISE_COUNTS**2)
+    slope, slope_sd = steepness * float(level.mean()), _clustered_sd(deviation, residual, rows.flight, weight)
+    return Line(slope / reliable, slope_sd / reliable, level, centre, residual)
 
 
-def _fit_slope(rows: BlockRows) -> tuple[float, Array, Array]:
-    """Estimate the slope of a machine of mean level, the level of each block at the mean position, Huber's weights."""
-    x, y, block = rows.x, rows.y, rows.block
-    weight, scale = np.ones(len(x)), np.ones(len(rows.blocks))
-    slope, level = 0.0, scale
-    for _ in range(HUBER_STEPS):
-        x_mean, y_mean = group_means(np.column_stack([x, y]), block, weight)[0].T
-        dx, dy = x - x_mean[block], (y - y_mean[block]) / scale[block]
-        slope = float((weight * dx * dy).sum() / max((weight * dx * dx).sum(), 1e-9))
-        level = y_mean + slope * scale * (np.average(x, weights=weight) - x_mean)
-        # wear scales the whole diameter, the slope too
-        scale = level / level.mean()
-        deviation = np.abs(dy - slope * dx)
-        weight = huber_weights(deviation, spread(deviation))
-    return slope, level, weight
-
-
-def _line_values(rows: BlockRows, slope: float, level: Array, centre: float) -> Array:
-    return np.asarray(level[rows.block] * (1.0 + slope / level.mean() * (rows.x - centre)))
+def line_panel(rows: BlockRows, centre: float, size: float) -> Panel:
+    """Declare the panel of blocks, their levels over `size`, that share a steepness: wear scales the slope too."""
+    x, y, ones = (rows.x - centre) / COUNTS, rows.y / size, np.ones((len(rows.blocks), 1))
+    return Panel(
+        names=("steepness",), bounds=np.array([[-np.inf, np.inf]]), prior=unknown(np.zeros(1)), step=np.full(1, STEP),
+        unit_mean=ones, unit_sd=LEVEL_SD * ones, unit_step=np.full(1, STEP), unit=rows.block, time=rows.block,
+        levelled=Equation(lambda design, level: y - level[0] * (1.0 + design[0] * x), SCATTER),
+        walk=STILL, noise_sd=np.zeros((len(x), 1)),
+    )  # fmt: skip
 
 
 def _clustered_sd(deviation: Array, residual: Array, flight: Array, weight: Array) -> float:
