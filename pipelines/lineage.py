@@ -150,7 +150,7 @@ STAGES = (
         "calibration", "calibration",
         "calibration_dsm", "calibration_design", "calibration_schedules", "calibration_window",
         parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"), baseline=True,
-        code="15", label="digital system model",
+        code="16", label="digital system model",
     ),
     declare_stage(
         "twin_flights", "twin", "twin_flights", parents=("legs_samples", "calibration_dsm"), code="5",
@@ -175,7 +175,7 @@ STAGES = (
     ),
     declare_stage(
         "twin_health", "twin", "twin_health", "twin_checkpoints", "residuals_components",
-        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2, code="15",
+        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2, code="16",
         fresh="twin_health", label="health, features, alerts",
     ),
     declare_stage(  # legs are admitted after the twin, which does not depend on it

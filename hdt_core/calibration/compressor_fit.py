@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
+from scipy.special import log_ndtr
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.diffuser_line import BLOCK_FLIGHTS, fit_line, rows_of
@@ -25,9 +26,10 @@ PRIOR = {p.name: (p.nominal, declared(p.sd)) for p in CC.model.free("design")}
 BLADE_ANGLE_RAD, BLADE_ANGLE_SD_RAD, HUB_RATIO = float(np.deg2rad(36.0)), float(np.deg2rad(3.0)), 0.4
 """Angle from tangential and hub to eye diameter of inducers of this kind: assumed, not recorded."""
 MIN_POINTS = 30
-ENTRY_WEAR, ENTRY_WEAR_SD, ENTRY_UNIT_SD = 0.004, 0.008, 0.012
-"""Mean ln loss of diameter of a compressor at entry, its sd, and the sd over units: by so much an as-built level lies
-above the measured one. Assumed, not recorded; efficiency loses twice as much."""
+ENTRY_WEAR, ENTRY_WEAR_SD_LN, ENTRY_UNIT_SD = 0.003, 1.5, 0.02
+"""Mean ln loss of diameter of a fleet's compressors at entry, how well it is known, and the sd over units, sensors
+included. Assumed, not recorded; efficiency loses twice as much."""
+SCORES, LN_ABOVE = np.linspace(-2.5, 2.5, 31), np.linspace(-0.1, 0.25, 351)
 PROBE_SD_LN = 0.003
 """Calibration error of an efficiency, which no number of flights takes out of one pack."""
 
@@ -101,7 +103,7 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
         return _prior(flights)  # one flight a pack: nothing to compare within a machine
     line = fit_line(rows)
     first_levels = pl.DataFrame({"level": line.level}).hstack(rows.blocks).filter(pl.col("turn") == 0)
-    as_built, as_built_sd = _as_built(first_levels["level"].to_numpy(), ENTRY_WEAR, ENTRY_WEAR_SD)
+    as_built, as_built_sd = _as_built(first_levels["level"].to_numpy(), ENTRY_WEAR)
     # the slope is proportional to the level, so it is raised likewise
     slope = line.slope * as_built / float(np.mean(line.level))
     slope_sd = float(np.hypot(line.slope_sd, slope * as_built_sd / as_built))
@@ -109,25 +111,18 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
     form_fits = compare_forms(rows)
     linear = form_fits[1] if form_fits else None
     return CompressorFit(
-        intercept_m=as_built - slope * line.centre,
-        intercept_sd_m=float(np.hypot(as_built_sd, slope_sd * line.centre)),
-        slope_m_per_count=slope,
-        slope_sd_m_per_count=slope_sd,
+        intercept_m=as_built - slope * line.centre, intercept_sd_m=float(np.hypot(as_built_sd, slope_sd * line.centre)),
+        slope_m_per_count=slope, slope_sd_m_per_count=slope_sd,
         scatter_m=spread(line.residual),
         mae_m=linear.cv_mae_m if linear else float(np.abs(line.residual).mean()),
         r_squared=linear.r_squared if linear else 0.0,
-        group_m3=group,
-        group_sd_m3=group_sd,
-        efficiency=efficiency,
-        efficiency_sd=efficiency_sd,
-        vda_counts=line.centre,
+        group_m3=group, group_sd_m3=group_sd,
+        efficiency=efficiency, efficiency_sd=efficiency_sd,
+        vda_counts=line.centre, vda_widest_counts=float(rows.x.max()),
         n_flights=flights,
-        group_slope_m3_per_count=group_slope,
-        group_slope_sd_m3_per_count=group_slope_sd,
-        vda_widest_counts=float(rows.x.max()),
-        forms=form_fits,
-        levels=(*group_levels, *efficiency_levels),
-    )
+        group_slope_m3_per_count=group_slope, group_slope_sd_m3_per_count=group_slope_sd,
+        forms=form_fits, levels=(*group_levels, *efficiency_levels),
+    )  # fmt: skip
 
 
 def _prior(flights: int) -> CompressorFit:
@@ -147,13 +142,20 @@ def _group_slope(samples: pl.DataFrame) -> tuple[float, float]:
     return line.slope, line.slope_sd
 
 
-def _as_built(levels: Array, wear: float, wear_sd: float) -> tuple[float, float]:
-    """Estimate the level as built from machines a little worn, and its standard error."""
-    middle = float(np.median(levels))
-    scatter = max(ENTRY_UNIT_SD * middle, spread(levels - middle))
-    # the median over machines whose wear is exponential: ln 2 times its mean
-    as_built = middle * (1.0 + float(np.log(2.0)) * wear)
-    return as_built, float(np.hypot(scatter * median_error(float(len(levels))), wear_sd * middle))
+def _as_built(levels: Array, wear: float) -> tuple[float, float]:
+    """Estimate the level as built from machines a little worn, and its standard error.
+
+    Wear at entry is exponential; its mean, about `wear`, is integrated over, for a fleet shows it by its spread.
+    """
+    ln_levels = np.log(levels)
+    level = float(np.median(ln_levels)) + LN_ABOVE
+    lost = (level[:, None] - ln_levels) / ENTRY_UNIT_SD
+    rate = ENTRY_UNIT_SD / (wear * np.exp(ENTRY_WEAR_SD_LN * SCORES))[:, None, None]
+    log = (np.log(rate) + 0.5 * rate**2 - rate * lost + log_ndtr(lost - rate)).sum(axis=2) - 0.5 * SCORES[:, None] ** 2
+    weight = np.exp(log - log.max()).sum(axis=0)
+    middle = float(np.average(level, weights=weight))
+    sd = float(np.sqrt(np.average((level - middle) ** 2, weights=weight)))
+    return float(np.exp(middle)), float(np.exp(middle) * sd)
 
 
 def _pool(
@@ -174,7 +176,7 @@ def _pool(
     error = (random**2 + (bias_sd * pl.col("value")) ** 2).sqrt()
     pool, levels = levels_of(packs.with_columns(error_sd=error), parameter)
     if wear:
-        return *_as_built(packs["value"].to_numpy(), 2.0 * ENTRY_WEAR, 2.0 * ENTRY_WEAR_SD), levels
+        return *_as_built(packs["value"].to_numpy(), 2.0 * ENTRY_WEAR), levels
     return pool.fleet, pool.fleet_sd, levels
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
+from hdt_core.calibration.compressor_fit import ENTRY_UNIT_SD
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.initial_wear import EntryWear
 from hdt_core.components import Component
@@ -45,7 +46,9 @@ def track_compressor(
         estimates = flights.select(PACK).with_columns(n=pl.Series(np.isfinite(ln_ratio)).cast(pl.Int32))
         has_begun = estimates.select(pl.col("n").cum_sum().over(PACK) > 0)[:, 0]
         own, param = flights.filter(has_begun), CC.model.param(name)
-        loss = _loss(own, component, param, ln_ratio[has_begun.to_numpy()], DesignOffset(0.0, level_sd), usual_sd)
+        loss = _loss(own, component, param, ln_ratio[has_begun.to_numpy()], usual_sd)
+        # the level's error is all machines' alike, and wear at entry was weighed in it: a pack's own must not shrink it
+        loss = loss._replace(more_variance=(np.full(own.height, level_sd**2),))
         result = track_loss(own, maintenance, loss, previous, seal)
         before, names = flights.filter(~has_begun), (CC.code, name, param.unit, FILTERED)
         nothing = pl.Series([None] * before.height, dtype=pl.Float64)
@@ -53,16 +56,16 @@ def track_compressor(
         yield result._replace(health=pl.concat([not_recorded, result.health]))
 
 
-def _loss(
-    flights: pl.DataFrame, component: Component, param: Param, ln_ratio: Array, offset: DesignOffset, usual_sd: float
-) -> Loss:
-    size, settings = wear_settings(component, param, offset)
+def _loss(flights: pl.DataFrame, component: Component, param: Param, ln_ratio: Array, usual_sd: float) -> Loss:
+    size, settings = wear_settings(component, param, DesignOffset(0.0, 0.0))
     ratio = ln_ratio / size
     scatter = scatter_by_segment(flights, ratio, np.zeros_like(ratio), usual_sd / size)
     variance = np.where(np.isfinite(ratio), scatter**2, 1.0)
     status = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
     # a step of its probes is no rarer than one of the exchanger's
-    settings = settings._replace(entries=ENTRY, fault_chance=FAULT_CHANCE, truncated=False)
+    settings = settings._replace(
+        entries=ENTRY, fault_chance=FAULT_CHANCE, truncated=False, offset_sd=ENTRY_UNIT_SD / size
+    )
     return Loss(component, param, size, settings, (ratio, variance, np.ones_like(ratio)), status)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import polars as pl
 import pytest
+from scipy.stats import exponnorm, norm
 
 from hdt_core.calibration.compressor_fit import _as_built, _pool, fit_compressor, inlet_geometry
 from hdt_core.calibration.diffuser_line import BlockRows, _clustered_sd, fit_line, rows_of
@@ -107,7 +108,7 @@ def test_an_as_built_line_is_that_of_machines_as_seen_raised():
     # a flow sensor's 2 % and .3 % of an efficiency are no pack's own
     group = _pool(pl.concat(frames), "group_m3", "cc_area_diameter_tan_beta_m3", 0.02, wear=False)[2]
     assert fit.levels == (*group, *_pool(pl.concat(frames), "efficiency", "cc_efficiency", 0.003, wear=True)[2])
-    as_built, as_built_sd = _as_built(line.level, 0.004, 0.008)
+    as_built, as_built_sd = _as_built(line.level, 0.003)
     slope = line.slope * as_built / line.level.mean()
     slope_sd = np.hypot(line.slope_sd, slope * as_built_sd / as_built)
     assert (fit.slope_m_per_count, fit.slope_sd_m_per_count) == pytest.approx((slope, slope_sd))
@@ -150,13 +151,29 @@ def test_forms_are_compared_on_flights_left_out():
     assert len(compare_forms(machine_rows(5))) == 4
 
 
+def as_built_by_hand(levels: np.ndarray, wear: float) -> tuple[float, float]:
+    """Of machines that differ by 2 %, their wear exponential with a mean known to a factor of exp(1.5)."""
+    above, score = np.linspace(-0.1, 0.25, 351), np.linspace(-2.5, 2.5, 31)
+    level = np.median(np.log(levels)) + above
+    chance = np.zeros(level.size)
+    for mean, prior in zip(wear * np.exp(1.5 * score), norm.pdf(score), strict=True):
+        density = exponnorm.pdf(level[:, None] - np.log(levels), mean / 0.02, scale=0.02)
+        chance += prior * density.prod(axis=1)
+    middle = np.average(level, weights=chance)
+    return np.exp(middle), np.exp(middle) * np.sqrt(np.average((level - middle) ** 2, weights=chance))
+
+
 def test_machines_as_built_lie_above_machines_as_seen():
-    """By the median of an exponential wear of 0.4 %; units scatter by 1.2 % at least."""
-    value, sd = _as_built(np.array([0.16, 0.17, 0.18]), 0.004, 0.008)
-    assert value == pytest.approx(0.17 * (1.0 + np.log(2.0) * 0.004))
-    assert sd == pytest.approx(np.hypot(1.4826 * 0.01 * 1.2533 / np.sqrt(3.0), 0.008 * 0.17))
-    alike = _as_built(np.array([0.17, 0.17]), 0.004, 0.008)[1]
-    assert alike == pytest.approx(0.17 * np.hypot(0.012 * 1.2533 / np.sqrt(2.0), 0.008))
+    """By what their spread tells of wear that is exponential: many alike are hardly worn, two tell little."""
+    for levels in (np.array([0.16, 0.17, 0.18]), np.array([0.17, 0.17]), np.array([0.17])):
+        assert _as_built(levels, 0.003) == pytest.approx(as_built_by_hand(levels, 0.003), rel=1e-5)
+    two, many = (_as_built(np.full(n, 0.17), 0.003) for n in (2, 40))
+    assert many[0] < two[0] < 0.17 * 1.02
+    assert many[1] < 0.005 * 0.17 < 0.012 * 0.17 < two[1]
+    rng = np.random.default_rng(3)
+    worn = 0.8 * np.exp(0.02 * rng.standard_normal(300) - rng.exponential(0.04, 300))
+    value, sd = _as_built(worn, 0.006)
+    assert abs(value - 0.8) < 3.0 * sd < 0.015 < 0.8 - np.median(worn)
 
 
 def test_an_efficiency_is_of_the_first_twenty_flights_and_raised_by_wear():
@@ -167,8 +184,7 @@ def test_an_efficiency_is_of_the_first_twenty_flights_and_raised_by_wear():
         for tail, level in (("A", 0.78), ("B", 0.80), ("C", 0.82))
     ])  # fmt: skip
     value, sd, levels = _pool(rows, "efficiency", "cc_efficiency", 0.003, wear=True)
-    assert value == pytest.approx(0.80 * (1.0 + np.log(2.0) * 0.008))
-    assert sd == pytest.approx(np.hypot(1.4826 * 0.02 * 1.2533 / np.sqrt(3.0), 0.016 * 0.8))
+    assert (value, sd) == pytest.approx(as_built_by_hand(np.array([0.78, 0.80, 0.82]), 0.006), rel=1e-5)
     assert [v.n_flights for v in levels] == [60, 20, 20, 20]
     middle = np.array([0.78, 0.80, 0.82])
     scatter = np.array([np.std([m] * 20 + [0.5] * 10, ddof=1) for m in middle]) * 1.2533 / np.sqrt(30.0)
