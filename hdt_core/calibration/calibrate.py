@@ -111,6 +111,7 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
         n_flights=base["flight_id"].n_unique(),
         cruise_flows_kg_s=_middle_flows(points, design),
         terms=terms,
+        exchanger_status=estimate.status,
     )
     cruise = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
     return replace(draft, hot_inlet=learn_inlet(cruise, draft.design, draft.bias_of(cruise)))

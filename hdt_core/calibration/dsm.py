@@ -45,6 +45,8 @@ class Dsm:
     ----------
     exchanger, exchanger_cov
         Design vector in the order of `hx.NAMES` and its covariance.
+    exchanger_status : str
+        How that estimate ended, a status of `Estimate`.
     gradient : tuple
         Mean derivative of the ln conductance ratio by design over the baseline: where the model is anchored.
     clean_level, offset_sd : float
@@ -80,6 +82,7 @@ class Dsm:
     levels: tuple[PooledLevel, ...] = ()
     hot_inlet: tuple[float, ...] = ()
     terms: dict[str, float] = field(default_factory=dict)
+    exchanger_status: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain numbers, lists and strings, ready for JSON."""

@@ -11,6 +11,9 @@ class CalibrationDsm(Table):
     dsm_version = text("hash of what it was calibrated from", nullable=False, primary_key=True)
     model = text("the model as JSON", nullable=False)
     n_flights = count("flights it was calibrated from")
+    status = text(
+        "how the estimate of the exchanger's design ended: converged, at_bound, max_steps or not_identifiable"
+    )
 
 
 class CalibrationSchedules(Table):

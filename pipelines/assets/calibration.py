@@ -41,12 +41,13 @@ def calibration(home: Home) -> StageResult:
     baseline = learn_baseline(verdicts, samples, maintenance, messages)
     admitted = admit(baseline, verdicts, leg_indicators(samples, baseline), maintenance, messages)
     dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)))
-    model = {"dsm_version": [dsm.dsm_version], "model": [json.dumps(dsm.to_dict())], "n_flights": [dsm.n_flights]}
+    text, status = json.dumps(dsm.to_dict()), dsm.exchanger_status
+    model = {"dsm_version": dsm.dsm_version, "model": text, "n_flights": dsm.n_flights, "status": status}
     estimates = of_each_aircraft(samples, lambda pack_samples: estimate_flights(pack_samples, dsm))
     plots = calibration_metadata(samples, estimates, maintenance, dsm)
     laws = {LEGS: baseline.to_json(), CONTROLLERS: json.dumps(learn_schedules(samples).to_dict())}
     schedules = pl.DataFrame({"name": list(laws), "laws": list(laws.values())})
-    return StageResult((pl.DataFrame(model), design_parameters(dsm), schedules, window(verdicts)), plots)
+    return StageResult((pl.DataFrame([model]), design_parameters(dsm), schedules, window(verdicts)), plots)
 
 
 SAMPLE_COLUMNS = (*LEG, "time_utc", "source", "departed_at", "phase", "monitored", "n_averaged", *SIGNALS)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import polars as pl
@@ -12,6 +13,7 @@ from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.design_table import design_parameters, elasticities, flow_elasticities
 from hdt_core.calibration.drift_audit import audit_drift
 from hdt_core.calibration.dsm import Dsm
+from hdt_core.estimation.panel import PanelLeastSquares
 from hdt_core.flight.windows import MILESTONES, baseline_flights
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK
@@ -132,6 +134,13 @@ def test_every_scope_is_there_and_the_table_honours_its_declaration(model):
     area = named.filter(parameter="cc_inlet_area_m2").row(0, named=True)
     assert not area["identifiable"]
     assert "blade angle of 36 ± 3 degrees" in area["unit"]
+
+
+def test_how_the_estimate_ended_is_kept(fleet, model, monkeypatch):
+    assert model.exchanger_status == "converged"
+    one_step = partial(PanelLeastSquares, max_steps=1)
+    monkeypatch.setattr("hdt_core.calibration.calibrate.PanelLeastSquares", one_step)
+    assert calibrate(fleet.samples, fleet.legs, fleet.maintenance).exchanger_status == "max_steps"
 
 
 def test_model_survives_json(model):
