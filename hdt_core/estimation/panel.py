@@ -89,7 +89,7 @@ class PanelLeastSquares:
     """
 
     name: str = "panel"
-    max_steps: int = 15
+    max_steps: int = 30
     min_steps: int = 7
     tolerance: float = 1e-4  # step of a parameter below which it has settled
     max_step: float = MAX_STEP
