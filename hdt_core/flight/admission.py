@@ -8,7 +8,8 @@ from dataclasses import replace
 import polars as pl
 
 from hdt_core.flight.bleed import BLEED, ODD_BLEED
-from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors, learn_outlet_law
+from hdt_core.flight.control_schedule import learn_outlet_schedule
+from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors
 from hdt_core.flight.manifold import learn_manifold
 from hdt_core.flight.nominal import Scatter, judge_conductance, learn_level, learn_scatter
 from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
@@ -40,7 +41,7 @@ def learn_baseline(
 ) -> NominalBaseline:
     """Learn the nominal baseline of a fleet that may contain sick legs, from its whole history and logs."""
     flights = number_flights(legs.drop("flight_number", strict=False))
-    baseline = NominalBaseline(learn_manifold(samples, flights), learn_outlet_law(samples))
+    baseline = NominalBaseline(learn_manifold(samples, flights), learn_outlet_schedule(samples))
     indicators = leg_indicators(samples, baseline)
     baseline = replace(
         baseline, level=learn_level(flights.join(indicators, on=LEG, how="left", validate="m:1"), maintenance)

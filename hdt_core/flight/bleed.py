@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from hdt_core.flight.legs import PACK_OFF_FLOW_KG_S
+from hdt_core.flight.legs import RUNNING_KG_S
 from hdt_core.flight.phases import CRUISE_FLOOR_M
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 from hdt_core.records.packs import is_among
@@ -20,7 +20,7 @@ def odd_bleed(reports: pl.DataFrame) -> pl.Expr:
     Below, packs are off for take-off and the APU feeds them on the ground. Missing values count as normal.
     """
     bleed_off = [~pl.col(c) for c in reports.columns if c.startswith("bleed_")]
-    pack_off = [pl.col(c) < PACK_OFF_FLOW_KG_S for c in reports.columns if c.endswith("_flow_kg_s")]
+    pack_off = [pl.col(c) < RUNNING_KG_S for c in reports.columns if c.endswith("_flow_kg_s")]
     odd = pl.any_horizontal(*(e.fill_null(False) for e in (*bleed_off, *pack_off, pl.col("crossfeed_open"))))
     return odd & (pl.col("altitude_m") > CRUISE_FLOOR_M).fill_null(False)
 

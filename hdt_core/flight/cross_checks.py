@@ -3,24 +3,20 @@
 The exchanger's wear shifts none of them, and only the twin's checks need a model of it.
 """
 
-from dataclasses import dataclass
-
-import numpy as np
 import polars as pl
 
-from hdt_core.flight.legs import PACK_OFF_FLOW_KG_S
+from hdt_core.flight.control_schedule import ControlSchedule, has_authority
+from hdt_core.flight.legs import RUNNING_KG_S
 from hdt_core.records.keys import FLIGHT, LEG, PACK
 from hdt_core.records.packs import join_other_pack
 from hdt_core.robust import MEDIAN_SD, spread_expr
 
-DOOR_FREE = (0.08, 0.92)  # between its stops the controller holds the outlet at its target, whatever the wear
 SMOOTHED_FLIGHTS = 7  # of the running medians of checks and conductance
 FAULT_SD = 4.0  # of the smoothed check's noise on the pack
 SINGLE_FLIGHT = 2.5  # times the tolerance: so far off, one flight is enough
-LAW_TERMS = ("altitude_m", "tat_k")
 SAMPLE_COLUMNS = (
-    *LEG, "time_utc", "source", "phase", *LAW_TERMS, "total_pressure_pa", "hx_out_k", "ram_door_open",
-    "pack_flow_kg_s", "cc_in_k", "cc_in_pa", "cc_flow_kg_s",
+    *LEG, "time_utc", "source", "phase", "tat_k", "total_pressure_pa", "hx_out_k", "ram_door_open", "pack_flow_kg_s",
+    "cc_in_k", "cc_in_pa", "cc_flow_kg_s",
 )  # fmt: skip
 """Columns of the samples that the checks use."""
 
@@ -41,33 +37,6 @@ BETWEEN_PACKS = {"outlet_between_packs_k": "outlet_above_law_k", "pack_flow_betw
 LEG_CHECKS = (*(c for c in TOLERANCE if c not in TWIN_CHECKS), *BETWEEN_PACKS.values())
 CHECKS = (*LEG_CHECKS, *TWIN_CHECKS)
 USUAL_SHARE = 0.25  # of the tolerance: nearer to its level than this a check has not left it, however steady it is
-
-
-@dataclass(frozen=True, slots=True)
-class OutletLaw:
-    """Outlet temperature [K] at which the controllers aim: linear in `LAW_TERMS`; `centre` is outlet, then terms."""
-
-    centre: tuple[float, ...]
-    slopes: tuple[float, ...]
-
-    def column(self) -> pl.Expr:
-        """Return the law's outlet temperature of each sample. [K]"""
-        level, *at = self.centre
-        terms = zip(LAW_TERMS, at, self.slopes, strict=True)
-        return sum(((pl.col(name) - c) * slope for name, c, slope in terms), pl.lit(level))
-
-
-def learn_outlet_law(samples: pl.DataFrame) -> OutletLaw | None:
-    """Fit the law by least squares to samples of running packs with a free door; None for fewer than ten."""
-    columns = samples.select("pack_flow_kg_s", "ram_door_open", "hx_out_k", *LAW_TERMS)
-    running = columns.filter(pl.col("pack_flow_kg_s") > PACK_OFF_FLOW_KG_S)
-    free = running.filter(pl.col("ram_door_open").is_between(*DOOR_FREE)).drop_nulls(["hx_out_k", *LAW_TERMS])
-    if free.height < 10:
-        return None
-    centre = free.select(pl.col("hx_out_k", *LAW_TERMS).median()).row(0)
-    off = free.select("hx_out_k", *LAW_TERMS).to_numpy() - np.array(centre)
-    slopes = np.linalg.lstsq(off[:, 1:], off[:, 0], rcond=None)[0]
-    return OutletLaw(centre, tuple(slopes.tolist()))
 
 
 def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
@@ -91,7 +60,7 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
     Each check is the leg's mean of a difference that is constant for sound sensors, less its median over the tail's
     flights: sensor faults are repaired, so most flights are sound. It has shifted where its running median over seven
     flights leaves zero by more than a tolerance and by four standard deviations of its noise, or one flight by far
-    more. A check between packs flags both, except the pack whose own reading is clearly nearer to the fleet's law.
+    more. A check between packs flags both, except the pack whose own reading is clearly nearer to its schedule.
     A drift begins before it is detectable: all flights of the period are flagged, from where the running median left
     its usual scatter until it returned.
     """
@@ -136,7 +105,7 @@ def _shift(check: str) -> pl.Expr:
 
 
 def _is_of_other_pack(check: str) -> pl.Expr:
-    """Flag a shift of the other pack: this one's own reading is clearly nearer to the fleet's law."""
+    """Flag a shift of the other pack: this one's own reading is clearly nearer to its schedule."""
     name = f"{check}_other"
     if check not in BETWEEN_PACKS:
         return pl.lit(False).alias(name)
@@ -155,25 +124,25 @@ def _score(check: str) -> pl.Expr:
     return pl.max_horizontal(pl.when(~is_of_other).then(lasting), pl.when(~other).then(single))
 
 
-def leg_checks(samples: pl.DataFrame, law: OutletLaw | None) -> pl.DataFrame:
+def leg_checks(samples: pl.DataFrame, outlet: ControlSchedule | None) -> pl.DataFrame:
     """Average each check over the leg: `LEG`, `LEG_CHECKS`.
 
     Parameters
     ----------
     samples : DataFrame
         Screened samples of both packs with `phase`.
-    law : OutletLaw, optional
-        Without it, a check between packs flags both.
+    outlet : ControlSchedule, optional
+        Of the outlet temperature; without it a check between packs flags both.
     """
-    running = samples.select(SAMPLE_COLUMNS).filter(pl.col("pack_flow_kg_s") > PACK_OFF_FLOW_KG_S)
-    rows = running.with_columns((law.column() if law else pl.lit(None, pl.Float64)).alias("law_k"))
+    running = samples.select(SAMPLE_COLUMNS).filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
+    target_k = outlet.column(running["tail"].to_numpy(), running["tat_k"].to_numpy()) if outlet else pl.lit(None)
+    rows = running.with_columns(target_k.cast(pl.Float64).alias("target_k"))
     pairs = join_other_pack(rows, ("hx_out_k", "ram_door_open", "pack_flow_kg_s"), ("time_utc", "source"))
-    free = pl.col("ram_door_open").is_between(*DOOR_FREE)
-    both_free = free & pl.col("other_ram_door_open").is_between(*DOOR_FREE)
+    both_free = has_authority() & has_authority("other_")
     cruise = pl.col("phase") == "cruise"
     return pairs.group_by(LEG).agg(
         (pl.col("hx_out_k") - pl.col("other_hx_out_k")).filter(both_free).mean().alias("outlet_between_packs_k"),
-        (pl.col("hx_out_k") - pl.col("law_k")).filter(both_free).mean().alias("outlet_above_law_k"),
+        (pl.col("hx_out_k") - pl.col("target_k")).filter(both_free).mean().alias("outlet_above_law_k"),
         (pl.col("cc_in_k") - pl.col("tat_k")).mean().alias("inlet_minus_tat_k"),
         ln_ratio("cc_in_pa", "total_pressure_pa").filter(cruise).mean().alias("inlet_over_total_pressure_ln"),
         ln_ratio("pack_flow_kg_s", "cc_flow_kg_s").filter(cruise).mean().alias("pack_over_compressor_flow_ln"),

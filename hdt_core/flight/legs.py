@@ -22,7 +22,7 @@ MODEL_SIGNALS = (
 )
 MIN_NOMINAL = 2  # samples of steady cruise that a leg must have
 DROPOUT_SHARE, DROPOUT_ROWS = 0.12, 3  # of a signal's values missing in a leg that has the sensor
-PACK_OFF_FLOW_KG_S = 0.1
+RUNNING_KG_S = 0.2  # flow below which a pack is off
 DOOR_STILL, DOOR_STILL_ROWS, DOOR_STILL_RISE_M = 0.03, 8, 4_000.0  # a door still through a climb is jammed
 ICING_TAT_K = (268.15, 283.15)  # -5 to +10 degC: water may be supercooled and freeze on the core
 ICING_BELOW_M = 6_700.0  # 22,000 ft: icing clouds
@@ -81,7 +81,7 @@ def prepare_samples(snapshots: pl.DataFrame) -> pl.DataFrame:
     log = average_log(phases.filter(pl.col("source") == "cpl"), by=RECORD_KEY)
     rows = pl.concat([reports.drop("phase_code"), log], how="diagonal").sort(*LEG, "time_utc", "source")
     complete = pl.all_horizontal(pl.col(s).is_not_null() for s in MODEL_SIGNALS)
-    running = pl.col("pack_flow_kg_s") > PACK_OFF_FLOW_KG_S
+    running = pl.col("pack_flow_kg_s") > RUNNING_KG_S
     icing = pl.col("tat_k").is_between(*ICING_TAT_K) & (pl.col("altitude_m") < ICING_BELOW_M)
     return rows.with_columns(
         ((pl.col("phase") == "cruise") & pl.col("steady") & complete & running).fill_null(False).alias("monitored"),
@@ -138,7 +138,7 @@ def _give_reasons(legs: pl.DataFrame) -> pl.DataFrame:
 
 
 def _is_off(flow: pl.Expr) -> pl.Expr:
-    return (flow < PACK_OFF_FLOW_KG_S).fill_null(False)
+    return (flow < RUNNING_KG_S).fill_null(False)
 
 
 def _dropped_out(signal: str) -> pl.Expr:

@@ -5,7 +5,8 @@ from dataclasses import asdict, dataclass, field
 
 import polars as pl
 
-from hdt_core.flight.cross_checks import OutletLaw, leg_checks
+from hdt_core.flight.control_schedule import ControlSchedule
+from hdt_core.flight.cross_checks import leg_checks
 from hdt_core.flight.manifold import Manifold, leg_conductance
 from hdt_core.flight.nominal import IndexLevel, Scatter
 from hdt_core.json_values import with_tuples
@@ -19,7 +20,7 @@ class NominalBaseline:
     """Laws of a fleet's nominal legs, against which each leg is compared."""
 
     manifold: Manifold | None = None
-    outlet: OutletLaw | None = None
+    outlet: ControlSchedule | None = None
     level: IndexLevel = field(default_factory=IndexLevel)
     scatter: Scatter | None = None
 
@@ -31,7 +32,7 @@ class NominalBaseline:
     def from_json(cls, text: str) -> "NominalBaseline":
         """Read a baseline from JSON."""
         plain = with_tuples(json.loads(text))
-        kinds = {"manifold": Manifold, "outlet": OutletLaw, "level": IndexLevel, "scatter": Scatter}
+        kinds = {"manifold": Manifold, "outlet": ControlSchedule, "level": IndexLevel, "scatter": Scatter}
         return cls(**{name: kind(**plain[name]) for name, kind in kinds.items() if plain[name]})
 
 

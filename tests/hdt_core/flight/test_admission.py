@@ -6,7 +6,8 @@ import pytest
 
 from benchmarks.chain import admit_fleet
 from hdt_core.flight.admission import SECOND_LEVEL, admit, learn_baseline
-from hdt_core.flight.cross_checks import check_sensors, learn_outlet_law, leg_checks
+from hdt_core.flight.control_schedule import learn_outlet_schedule
+from hdt_core.flight.cross_checks import check_sensors, leg_checks
 from hdt_core.flight.legs import REASONS, judge_legs
 from hdt_core.flight.manifold import add_conductance_index, learn_manifold, leg_conductance
 from hdt_core.flight.nominal import learn_scatter
@@ -64,10 +65,10 @@ def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
     tail = legs["tail"][0]
     span = pl.col("flight_number").is_between(100, 130) & (pl.col("tail") == tail)
     off = _planted(samples, legs, "hx_out_k", pl.col("hx_out_k") + step_k, span & (pl.col("pack") == 1))
-    checks = check_sensors(leg_checks(off, learn_outlet_law(off)), legs).join(
+    checks = check_sensors(leg_checks(off, learn_outlet_schedule(off)), legs).join(
         legs.select(*LEG, "flight_number"), on=LEG
     )
-    before = check_sensors(leg_checks(samples, learn_outlet_law(samples)), legs).join(
+    before = check_sensors(leg_checks(samples, learn_outlet_schedule(samples)), legs).join(
         legs.select(*LEG, "flight_number"), on=LEG
     )
     sound = before.filter(span & (pl.col("pack") == 1) & ~pl.col("sensor_shift"))

@@ -56,7 +56,7 @@ def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(le
 @pytest.mark.parametrize(
     ("values", "hours", "turned"),
     [
-        ({"pack_1_flow_kg_s": 0.0999}, 1.0, 1), ({"pack_1_flow_kg_s": 0.1}, 1.0, 0),
+        ({"pack_1_flow_kg_s": 0.1999}, 1.0, 1), ({"pack_1_flow_kg_s": 0.2}, 1.0, 0),
         ({"crossfeed_open": True, "altitude_m": 4572.0}, 1.0, 0),
         ({"crossfeed_open": True, "altitude_m": 4572.1}, 1.0, 1),
         ({"crossfeed_open": True}, 25.0, 2), ({"crossfeed_open": True}, 25.1, 0),

@@ -6,7 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.cross_checks import TOLERANCE, OutletLaw, check_sensors, learn_outlet_law, leg_checks
+from hdt_core.flight.control_schedule import ControlSchedule, has_authority, learn_outlet_schedule
+from hdt_core.flight.cross_checks import TOLERANCE, check_sensors, leg_checks
 from hdt_core.records.keys import LEG
 
 N = 60
@@ -20,26 +21,19 @@ def samples(pack: int, **changed: object) -> pl.DataFrame:
         "time_utc": at, "source": "acms", "phase": ["climb"] * 2 + ["cruise"] * 4,
         "altitude_m": [5000.0, 8000.0, 1e4, 1e4, 1.1e4, 1.1e4], "tat_k": [265.0, 258.0, 250.0, 251.0, 248.0, 247.0],
         "total_pressure_pa": 36e3, "hx_out_k": [300.0, 301.0, 302.0, 303.0, 304.0, 305.0],
-        "ram_door_open": [0.3, 0.08, 0.92, 0.5, 0.07, 0.93], "pack_flow_kg_s": [0.8, 0.8, 0.82, 0.84, 0.86, 0.1],
+        "ram_door_open": [0.3, 0.08, 0.95, 0.5, 0.07, 0.96], "pack_flow_kg_s": [0.8, 0.8, 0.82, 0.84, 0.86, 0.2],
         "cc_in_k": 252.0, "cc_in_pa": 35e3, "cc_flow_kg_s": 0.8,
     }  # fmt: skip
     frame = pl.DataFrame(signals | {"operator": "TST", "tail": "T", "flight_id": "F", "pack": pack} | changed)
     return frame.cast({"pack": pl.Int32, "time_utc": pl.Datetime("us", "UTC")})
 
 
-FREE = ((5e3, 265.0), (8e3, 258.0), (1e4, 250.0), (1e4, 251.0))
-"""Altitude and total temperature of the samples whose doors are free."""
-
-
 def test_checks_of_a_leg_by_hand():
     two = samples(2, hx_out_k=[299.0, 299.0, 301.0, 302.0, 303.0, 303.0], ram_door_open=0.4, pack_flow_kg_s=0.75)
-    law = OutletLaw((301.0, 1e4, 250.0), (1e-3, 0.5))
+    law = ControlSchedule((240.0, 270.0), {"": (296.0, 311.0)}, {"": 0.0})
     row = leg_checks(pl.concat([samples(1), two]), law).row(by_predicate=pl.col("pack") == 1, named=True)
-    # the last sample is at rest (.1 kg/s); doors of .07 and .93 are at their ends
-    by_law = [
-        301.0 + 1e-3 * (a - 1e4) + 0.5 * (t - 250.0)
-        for a, t in ((5e3, 265.0), (8e3, 258.0), (1e4, 250.0), (1e4, 251.0))
-    ]
+    # the last sample is at rest (.2 kg/s); doors of .07 and .96 are at their ends
+    by_law = [301.0 + 0.5 * (tat_k - 250.0) for tat_k in (265.0, 258.0, 250.0, 251.0)]
     flow = np.log([0.82, 0.84, 0.86])
     expected = {
         "outlet_between_packs_k": np.mean([1.0, 2.0, 1.0, 1.0]),
@@ -56,22 +50,35 @@ def test_checks_of_a_leg_by_hand():
     ] == [None] * 3
 
 
-def test_outlet_law_is_least_squares_about_the_medians_of_free_doors():
+@pytest.mark.parametrize(
+    ("door", "flow", "free"),
+    [
+        (0.08, 0.5, True),
+        (0.079, 0.5, False),
+        (0.95, 0.5, True),
+        (0.951, 0.5, False),
+        (0.5, 0.2, False),
+        (0.5, 0.21, True),
+    ],
+)
+def test_a_door_has_authority_between_its_ends_while_the_pack_runs(door, flow, free):
+    rows = pl.DataFrame({"other_ram_door_open": [door], "other_pack_flow_kg_s": [flow]})
+    assert rows.select(has_authority("other_")).item() is free
+
+
+def test_outlet_schedule_is_learned_from_free_doors_of_running_packs():
     rng = np.random.default_rng(0)
-    altitude, tat = rng.uniform(8e3, 12e3, 60), rng.uniform(240.0, 270.0, 60)
-    outlet = 300.0 + 1e-3 * (altitude - 1e4) + 0.4 * (tat - 255.0) + rng.normal(0.0, 0.5, 60)
-    door = np.where(np.arange(60) < 50, 0.92, 0.93)
-    rows = pl.DataFrame(
-        {"altitude_m": altitude, "tat_k": tat, "hx_out_k": outlet, "ram_door_open": door, "pack_flow_kg_s": 0.11}
-    )
-    law = learn_outlet_law(rows)
-    y, x = outlet[:50], np.column_stack([altitude[:50], tat[:50]])
-    assert law.centre == pytest.approx((np.median(y), *np.median(x, axis=0)))
-    slopes = np.linalg.lstsq(x - np.median(x, axis=0), y - np.median(y), rcond=None)[0]
-    assert law.slopes == pytest.approx(slopes.tolist())
-    assert learn_outlet_law(rows.with_columns(pack_flow_kg_s=pl.lit(0.1))) is None
-    assert learn_outlet_law(rows.head(10)) is not None
-    assert learn_outlet_law(rows.head(9)) is None
+    tat = rng.uniform(230.0, 310.0, 60)
+    outlet = 200.0 + 0.4 * tat + 50.0 * (np.arange(60) >= 50)
+    door, flow = np.where(np.arange(60) < 55, 0.95, 0.96), np.where(np.arange(60) < 50, 0.21, 0.2)
+    rows = pl.DataFrame({
+        "tail": "T", "flight_id": "F", "pack": 1, "tat_k": tat, "hx_out_k": outlet,
+        "ram_door_open": door, "pack_flow_kg_s": flow,
+    })  # fmt: skip
+    law = learn_outlet_schedule(rows)
+    at = np.array([240.0, 300.0])
+    assert np.diff(law.shape("T", at)) == pytest.approx(24.0, abs=0.01)
+    assert law == learn_outlet_schedule(rows.head(50))
 
 
 def checked(column: str, values: np.ndarray, other: np.ndarray | None = None, **more: np.ndarray) -> pl.DataFrame:

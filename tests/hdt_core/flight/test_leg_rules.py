@@ -49,11 +49,11 @@ def test_a_sound_cruise_is_admitted_with_its_figures():
     assert samples["nominal"].all()
 
 
-@pytest.mark.parametrize(("flow", "reason"), [(0.0999, "PACK_OFF"), (0.1, "NO_CRUISE"), (0.11, "")])
-def test_a_pack_is_off_below_a_tenth(flow, reason):
+@pytest.mark.parametrize(("flow", "reason"), [(0.1999, "PACK_OFF"), (0.2, "NO_CRUISE"), (0.21, "")])
+def test_a_pack_is_off_below_a_fifth(flow, reason):
     at_rest = [flow * (1.0 + 1e-7 * k) for k in range(12)]
     codes = reasons(leg(pack_flow_kg_s=at_rest), leg(2))
-    assert codes == [reason if flow != 0.1 else "", "OTHER_PACK_OFF" if reason == "PACK_OFF" else ""]
+    assert codes == [reason if flow != 0.2 else "", "OTHER_PACK_OFF" if reason == "PACK_OFF" else ""]
 
 
 @pytest.mark.parametrize(

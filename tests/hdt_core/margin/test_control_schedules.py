@@ -8,13 +8,11 @@ import polars as pl
 import pytest
 from known_fleet import departure
 
+from hdt_core.flight.control_schedule import TAT_KNOTS_K, ControlSchedule
 from hdt_core.margin.control_schedules import (
     ALTITUDE_KNOTS_M,
-    TAT_KNOTS_K,
-    ControlSchedule,
     ControlSchedules,
     SpeedLimit,
-    has_authority,
     learn_schedules,
     speed_limit,
 )
@@ -23,22 +21,6 @@ from hdt_core.margin.control_schedules import (
 def test_knots_lie_eight_kelvin_and_eight_hundred_metres_apart():
     assert tuple(228.0 + 8.0 * k for k in range(12)) == TAT_KNOTS_K
     assert tuple(4800.0 + 800.0 * k for k in range(13)) == ALTITUDE_KNOTS_M
-
-
-@pytest.mark.parametrize(
-    ("door", "flow", "free"),
-    [
-        (0.08, 0.5, True),
-        (0.079, 0.5, False),
-        (0.95, 0.5, True),
-        (0.951, 0.5, False),
-        (0.5, 0.2, False),
-        (0.5, 0.21, True),
-    ],
-)
-def test_a_door_has_authority_between_its_ends_while_the_pack_runs(door, flow, free):
-    rows = pl.DataFrame({"other_ram_door_open": [door], "other_pack_flow_kg_s": [flow]})
-    assert rows.select(has_authority("other_")).item() is free
 
 
 def test_a_schedule_is_read_between_its_knots_with_gain_and_level():
