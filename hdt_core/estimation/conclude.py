@@ -13,12 +13,13 @@ from hdt_core.estimation.damped import assess_optimum
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum, quadratic_model
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.fit import noise_variance
-from hdt_core.estimation.identifiability import SAFE, Identifiability, covariance_of_free
+from hdt_core.estimation.identifiability import Identifiability, covariance_of_free
 from hdt_core.estimation.optimum_checks import OptimumTest, Profile, check_optima, profile_intervals
 from hdt_core.estimation.problem import Array, Belief, Problem
 
 CLOSE = 5e-4  # standard deviations to the optimum of the quadratic model: half of what `converged` promises
 ROUNDING_DISTANCE = 1e-9  # declared standard deviations: what rounding leaves of the gradient of a noise-free record
+SAFE = 1e-10  # a scaled determinant from which a Cholesky factor is as good as an eigenvalue decomposition
 SEPARATE = 0.5  # scaled determinant from which parameters are well separated
 VALUES_A_PARAMETER = 100  # values a parameter: with parameters well separated, the likelihood is Gaussian
 WIDE = 6.0  # standard deviations: a declared range with fewer is hardly narrowed by the data

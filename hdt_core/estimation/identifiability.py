@@ -6,11 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdt_core.estimation.damped import inverse_spd
 from hdt_core.estimation.problem import Array, Problem
 
-SAFE = 1e-10  # a scaled determinant from which a Cholesky factor is as good as an eigenvalue decomposition
-FEW = 8  # parameters, up to which compiled loops beat LAPACK
 SINGULAR = 1e14  # condition of the scaled information from which central differences are no better than a zero
 
 
@@ -83,17 +80,13 @@ def invert_information(information: Array) -> tuple[Array, bool]:
 
     Parameters in an unobservable direction get an infinite variance.
     """
-    if len(information) <= FEW:
-        inverse, determinant = inverse_spd(information)
-        if determinant > SAFE:
-            return inverse, True
     size = np.sqrt(np.maximum(information.diagonal(), 0.0))
     size[size == 0.0] = 1.0
     scales = size[:, None] * size
     values, vectors = np.linalg.eigh(information / scales)
-    if values[0] > values[-1] / SINGULAR:
+    observable = values > values[-1:] / SINGULAR
+    if observable.all():
         return (vectors / values) @ vectors.T / scales, True
-    observable = values > values[-1] / SINGULAR
     cov = (vectors[:, observable] / values[observable]) @ vectors[:, observable].T / scales
     unobservable = (np.abs(vectors[:, ~observable]) > 1e-6).any(axis=1)
     cov[unobservable] = 0.0
