@@ -62,7 +62,8 @@ def features(
         cross_checks=features_cross_checks,
         demand=features_margin,
     )
-    return pack, conform_all("features_components", [component_features(*inputs, c) for c in declared])
+    with_record = [c for c in declared if c.code in legs_components["component"]]
+    return pack, conform_all("features_components", [component_features(*inputs, c) for c in with_record])
 
 
 @stage
