@@ -165,6 +165,8 @@ def test_another_night_goes_on_where_a_killed_one_left_and_two_at_once_double_no
         night_over(fleet)
     first.kill()
     first.join()
+    locks = "select 1 from pg_locks join pg_database as d on d.oid = database where locktype = 'advisory'"
+    wait(lambda: not fleet.rows(f"{locks} and datname = current_database()"), 20, "the server does not notice the kill")
     done = night_over(fleet)
     assert done.failed == {}
     assert fingerprint(fleet.home("night")) == alone[0]
