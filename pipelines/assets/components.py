@@ -7,6 +7,8 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.components import Component, component_rows, recorded_components
+from hdt_core.components.compressor import CC
+from hdt_core.components.exchanger import HX
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
 from hdt_core.records.keys import LEG
@@ -17,7 +19,7 @@ from pipelines.assets.raw import account, with_aircraft
 from pipelines.assets.stage import stage
 from pipelines.intake.components import read_components
 from pipelines.intake.ingest import landing_files
-from pipelines.lineage import LINEAGE, STAGE
+from pipelines.lineage import STAGE
 from pipelines.partitions import PartitionScope
 from pipelines.resources import Home
 from pipelines.storage.settings import accepted_terms
@@ -31,9 +33,20 @@ def declared_components() -> pl.DataFrame:
     return pl.DataFrame(component_rows())
 
 
-def in_service(home: Home) -> list[Component]:
-    """Return components with files of their own, with the physical terms that an engineer has accepted."""
-    return [c.with_terms(accepted_terms(Path(home.home))) for c in recorded_components().values()]
+def of_pack(rows: pl.DataFrame) -> pl.DataFrame:
+    """Select the rows of the pack's own components."""
+    return rows.filter(pl.col("component").is_in((HX.code, CC.code)))
+
+
+def recorded_in(rows: pl.DataFrame) -> list[Component]:
+    """List the declared components that some of the rows are of; the others need not be gone through."""
+    codes = set(rows["component"].unique())
+    return [c for c in recorded_components().values() if c.code in codes]
+
+
+def in_service(rows: pl.DataFrame, home: Home) -> list[Component]:
+    """List the components of `recorded_in` with the physical terms that an engineer has accepted."""
+    return [c.with_terms(accepted_terms(Path(home.home))) for c in recorded_in(rows)]
 
 
 @stage
@@ -71,7 +84,7 @@ def calibration_components(
     """Select steady flights of each component and estimate the design of each pack's first unit."""
     from hdt_core.tracking.component_units import commission  # its estimators take half a second to load
 
-    results = [commission(raw_components, raw_maintenance, c, raw_reports) for c in in_service(home)]
+    results = [commission(raw_components, raw_maintenance, c, raw_reports) for c in in_service(raw_components, home)]
     legs = conform_all("legs_components", [x for x, _ in results])
     design = conform_all("calibration_components", [d for _, d in results])
     return legs, design.with_columns(pl.lit("tail").alias("scope"))
@@ -79,7 +92,7 @@ def calibration_components(
 
 def track_components(
     signals: pl.DataFrame, legs: pl.DataFrame, design: pl.DataFrame, maintenance: pl.DataFrame, home: Home,
-    stored: TrackResult,
+    stored: TrackResult, code: str,
 ) -> tuple[TrackResult, pl.DataFrame]:  # fmt: skip
     """Track each declared component's health after each flight; also residuals of its sensors, model and twin.
 
@@ -90,16 +103,16 @@ def track_components(
     home : Home
     stored : TrackResult
         Of the last night.
+    code : str
+        Version of the code; results under another are not used.
     """
     tracks, readings, residuals = [], [], []
-    if signals.height:
-        from hdt_core.tracking.component_units import unit_health
+    for component in in_service(signals, home):
+        from hdt_core.tracking.component_units import unit_health  # loaded only where a component has a record
 
-    for component in in_service(home) if signals.height else ():
         samples = component_samples(signals, component)
         inputs = (samples, legs.filter(component=component.code), design, maintenance, component)
-        seal = f"{LINEAGE['twin_health'].code}|{component.version}"
-        flights, tracked = unit_health(*inputs, stored, seal)
+        flights, tracked = unit_health(*inputs, stored, f"{code}|{component.version}")
         tracks.append(tracked)
         readings.append(component_readings(samples, component))
         residuals += _residuals(samples, flights, design, component)

@@ -7,14 +7,13 @@ import polars as pl
 
 from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.alerts.component_alerts import component_features, raise_component_alerts
-from hdt_core.components import recorded_components
 from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.health.features import features as describe
 from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.margin.control_schedules import ControlSchedules
 from hdt_core.margin.exchanger_demand import exchanger_demand
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
-from pipelines.assets.components import conform_all
+from pipelines.assets.components import conform_all, of_pack, recorded_in
 from pipelines.assets.stage import stage
 from pipelines.assets.twin import model_of
 from pipelines.resources import Home
@@ -52,9 +51,8 @@ def features(
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Join health, residuals, trends, virtual sensors and cross checks of door and sensors, by flight and pack."""
     inputs = (twin_health, residuals_components, legs_components, raw_maintenance)
-    declared = recorded_components().values()
     pack = describe(
-        twin_health.filter(~pl.col("component").is_in([c.code for c in declared])),
+        of_pack(twin_health),
         residuals,
         legs_verdicts,
         raw_maintenance,
@@ -62,8 +60,8 @@ def features(
         cross_checks=features_cross_checks,
         demand=features_margin,
     )
-    with_record = [c for c in declared if c.code in legs_components["component"]]
-    return pack, conform_all("features_components", [component_features(*inputs, c) for c in with_record])
+    components = [component_features(*inputs, c) for c in recorded_in(legs_components)]
+    return pack, conform_all("features_components", components)
 
 
 @stage
@@ -75,7 +73,8 @@ def features_alerts(
     home: Home,
 ) -> pl.DataFrame:
     """Raise alerts: which loss grew, since when, what else could explain it, what to do."""
-    limits, declared = alert_limits(Path(home.home)), recorded_components().values()
+    limits = alert_limits(Path(home.home))
     alerts = raise_alerts(features, twin_health, raw_maintenance, limits)
-    others = (raise_component_alerts(features_components, raw_maintenance, c, limits) for c in declared)
+    inputs = (features_components, raw_maintenance)
+    others = (raise_component_alerts(*inputs, c, limits) for c in recorded_in(features_components))
     return conform_all("features_alerts", [alerts, *others])

@@ -6,9 +6,6 @@ from dataclasses import asdict
 
 import polars as pl
 
-from hdt_core.components import recorded_components
-from hdt_core.components.compressor import CC
-from hdt_core.components.exchanger import HX
 from hdt_core.margin.exchanger_demand import CRITICAL
 from hdt_core.prognosis.component_life import component_life_table, component_prognoses
 from hdt_core.prognosis.feature_rows import LOSSES, MARGIN_FEATURES
@@ -18,7 +15,7 @@ from hdt_core.prognosis.service import ModelUpdate, MonthModel, update_model
 from hdt_core.prognosis.training_digest import TrainingDigest
 from hdt_core.prognosis.unit_lives import life_table
 from hdt_core.records.keys import PACK
-from pipelines.assets.components import conform_all
+from pipelines.assets.components import conform_all, of_pack, recorded_in
 from pipelines.assets.stage import stage
 from pipelines.learned import load_base, shipped_base, shipped_bytes
 from pipelines.lineage import DECLARED, LINEAGE, UPSTREAM
@@ -59,7 +56,7 @@ def prognosis(
     update = update_model(candidate, in_service, record, _design(calibration_dsm, calibration_schedules))
     base = prognosis_base if not update.months or update.newest.model.hazard is candidate.hazard else stored
     lives = life_table(features, record.lives())
-    inputs, declared = (features_components, raw_messages, raw_maintenance), recorded_components().values()
+    inputs, declared = (features_components, raw_messages, raw_maintenance), recorded_in(features_components)
     prognoses = conform_all("prognoses", [update.prognoses, *(component_prognoses(*inputs, c) for c in declared)])
     lives = conform_all("prognosis_lives", [lives, *(component_life_table(*inputs, c) for c in declared)])
     return prognoses, _rows(update, base["model"][-1]), lives
@@ -92,7 +89,7 @@ def _model_in_service(stored: pl.DataFrame, store: Store) -> ModelUpdate | None:
         )
         for row in stored.iter_rows(named=True)
     }
-    return ModelUpdate(months, store.read_table("prognoses").filter(pl.col("component").is_in((HX.code, CC.code))))
+    return ModelUpdate(months, of_pack(store.read_table("prognoses")))
 
 
 def _rows(update: ModelUpdate, base: bytes) -> pl.DataFrame:

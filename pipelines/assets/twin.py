@@ -43,10 +43,9 @@ def twin_health(
     It continues from the last checkpoint before the new flights; a checkpoint lists the flights it includes.
     """
     stored = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
-    components, residuals = track_components(
-        raw_components, legs_components, calibration_components, raw_maintenance, home, stored
-    )
-    tracks, code = [components], LINEAGE["twin_health"].code
+    inputs, code = (raw_components, legs_components, calibration_components), LINEAGE["twin_health"].code
+    components, residuals = track_components(*inputs, raw_maintenance, home, stored, code)
+    tracks = [components]
     if twin_flights.height:
         tracks.append(track(twin_flights, raw_maintenance, model_of(calibration_dsm), stored, code))
     return *join_tracks(tracks), residuals

@@ -54,7 +54,7 @@ select
 from unlogged_work
 order by all
 """
-PART = ("pack", "component")
+_PART = ("pack", "component")
 _FILES = """
 select file, any_value(operator) as operator, sum(n_rows)::bigint as n_rows,
     string_agg(distinct replace(reason, '_', ' '), ', ' order by replace(reason, '_', ' ')) as reasons
@@ -75,7 +75,7 @@ def read_state(con: duckdb.DuckDBPyConnection, tasks: Tasks | None = None) -> St
         "closed": {name: row for name, row in alerts.items() if row["closed_on"] is not None},
         "outlook": {_key(r, "operator", "tail", "pack", "component"): r for r in _rows(con, _OUTLOOK)},
         "gaps": {
-            _key(r, "operator", "tail", "gap", "since", "after_flight_id", *(PART if r["pack"] else ())): r
+            _key(r, "operator", "tail", "gap", "since", "after_flight_id", *(_PART if r["pack"] else ())): r
             for r in _rows(con, _GAPS)
         },
         "silent": {

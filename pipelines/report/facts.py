@@ -89,7 +89,7 @@ _FRAMES = {
         order by t.departed_at, t.flight_id, t.pack""",
     "segment": _SEGMENT,
 }
-_OF_NO_UNIT = {"design", "filter_yield", "reasons", "quarantine", "deliveries", "twin", "segment"}
+_OF_NO_UNIT = {"design", "filter_yield", "reasons", "unlogged", "quarantine", "deliveries", "twin", "segment"}
 """Frames that the tables and cards of units do not show."""
 
 
