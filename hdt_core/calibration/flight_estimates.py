@@ -11,6 +11,7 @@ from hdt_core.calibration.inlet_law import inlet_above_law
 from hdt_core.calibration.sensor_priors import exit_differences
 from hdt_core.estimation.descent import gauss_newton
 from hdt_core.estimation.problem import Problem, unknown
+from hdt_core.flight.legs import RUNNING_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance, with_static_pressure
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER
@@ -20,9 +21,8 @@ from hdt_core.tables.base import finite
 SAMPLE_SD = 0.025
 """Noise of one sample's ln conductance, for flights too short to show their own."""
 ROBUST_STEPS = 6
-ALOFT_M, FEWEST_MOVING, RUNNING_KG_S = 2500.0, 4, 0.2
-"""Height from which climb and descent count (below are ice, slow flight and transients), fewest samples, and the flow
-below which a pack is off."""
+ALOFT_M, FEWEST_MOVING = 2500.0, 4
+"""Height from which climb and descent count (below are ice, slow flight and transients), and fewest samples."""
 SLOPES = (
     ("ratio_per_exit_k", "hx_out_k", 0.01),
     ("ratio_per_ln_flow", "pack_flow_kg_s", 1e-4),
