@@ -190,14 +190,14 @@ STAGES = (
         code="8", fresh="features",
     ),
     declare_stage(
-        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="19",
+        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="20",
     ),
     declare_stage("declared_components", "raw", "components", code=DECLARED),
     declare_stage("prognosis_base", "prognosis", "prognosis_base", code="4", label="prognosis"),
     declare_stage(  # a model is stored with its scored flights, so prognoses come first: a kill between costs only work
         "prognosis", "prognosis", "prognoses", "prognosis_model", "prognosis_lives",
         parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-        code="10", fresh="prognoses",
+        code="11", fresh="prognoses",
     ),
 )  # fmt: skip
 

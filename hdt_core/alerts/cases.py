@@ -114,9 +114,9 @@ def fact_after(name: str, values: Array) -> Callable[[int], dict[str, float]]:
 
 def case_id(grid: Grid, case: Case) -> str:
     """Return the name of a case in the catalog, which later data do not change."""
-    _, tail, pack = grid.units.row(case.unit)
+    unit = map(str, grid.units.row(case.unit))
     flight_id = str(grid.value("flight_id", case.unit, case.raised_flight))
-    name = "|".join((tail, str(pack), case.component, case.diagnosis, flight_id, str(case.facts.get("sensor", ""))))
+    name = "|".join((*unit, case.component, case.diagnosis, flight_id, str(case.facts.get("sensor", ""))))
     return hashlib.sha256(name.encode()).hexdigest()[:16]
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import rankdata
 
 from hdt_core.prognosis.unit_lives import flight_rows, with_lives
+from hdt_core.records.keys import LEG
 from hdt_core.robust import Array
 
 CAP = 300.0
@@ -67,11 +68,11 @@ def join_outcomes(
         and `event_50` (null for a life censored within 50 flights).
     """
     flights = with_lives(flight_rows(features), lives, component)
-    truth = flights.select("tail", "flight_id", "pack", "remaining", "failed", life="life_id")
+    truth = flights.select(*LEG, "remaining", "failed", life="life_id")
     is_hit = pl.col("failed") & (pl.col("remaining") <= 50)
     return (
         prognoses.filter(pl.col("component") == component)
-        .join(truth, on=["tail", "flight_id", "pack"], validate="m:1")
+        .join(truth, on=LEG, validate="m:1")
         .filter(pl.col("remaining") >= 1)
         .with_columns(event_50=pl.when(is_hit).then(1.0).when(pl.col("remaining") > 50).then(0.0))
     )

@@ -5,7 +5,7 @@ import polars as pl
 from hdt_core.components import Component
 from hdt_core.components.compressor import CC
 from hdt_core.components.exchanger import HX
-from hdt_core.records.keys import PACK
+from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import first_flights
 
 # a message is answered within nine flights, the log may be five flights late, and the day it names ends five later
@@ -138,10 +138,8 @@ def _credible_messages(
     flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
 ) -> pl.DataFrame:
     """Select rows with the component's message, without those followed by an inspection that found no fault."""
-    rows = (
-        messages.filter(pl.col("code") == (component.message_code or "")).select("tail", "flight_id", "pack").unique()
-    )
-    rows = flights.join(rows, on=["tail", "flight_id", "pack"], validate="m:1")
+    sent = messages.filter(pl.col("code") == (component.message_code or "")).select(LEG).unique()
+    rows = flights.join(sent, on=LEG, validate="m:1")
     inspections = maintenance.filter(
         (pl.col("component") == component.code) & (pl.col("finding") == "NO_FAULT_FOUND")
     ).select(*PACK, "done_on")

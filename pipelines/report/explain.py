@@ -106,7 +106,8 @@ def _head(row: Row) -> str:
 
 def _beside(row: Row) -> str:
     alerts = words.diagnosis(row["diagnoses"]) if row["diagnoses"] else _("no open alert")
-    return _("Also {pack}: {urgency}, {alerts}.", pack=words.pack_name(row), urgency=words.urgency(row), alerts=alerts)
+    pack = f"{row['operator']} {words.pack_name(row)}"
+    return _("Also {pack}: {urgency}, {alerts}.", pack=pack, urgency=words.urgency(row), alerts=alerts)
 
 
 def _alert_lines(a: Row) -> list[str]:

@@ -183,7 +183,7 @@ def test_a_tail_names_its_worst_pack_and_not_its_latest_alert(home):
     answer = str(explain(home, "T-2"))
     assert answer.startswith("AAA T-2 pack 2 (right): Act now.")
     assert "Do bbbb2222." in answer
-    assert "Also T-2 pack 1 (left): Plan, heat exchanger fouling, sensor fault." in answer
+    assert "Also AAA T-2 pack 1 (left): Plan, heat exchanger fouling, sensor fault." in answer
     other = str(explain(home, "T-2 1"))
     assert other.index("Do bbbb1111.") < other.index("Do aaaa2222."), "of one pack the most urgent alert first"
     assert "Do bbbb2222." not in other

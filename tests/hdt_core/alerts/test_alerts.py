@@ -85,6 +85,13 @@ def test_fouling_is_one_case_once_it_is_sure(samples, nothing_done) -> None:
     assert FeaturesAlerts.faults(out) == []
 
 
+def test_alerts_of_one_tail_and_flight_under_two_operators_are_two(samples, nothing_done) -> None:
+    both = pl.concat([samples, samples.with_columns(operator=pl.lit("TSU"))])
+    health = track(samples, {1: 0.1 + 0.0012 * np.arange(FLIGHTS)})
+    health = pl.concat([health, health.with_columns(operator=pl.lit("TSU"))])
+    assert alerts_of(both, health, nothing_done)["operator"].to_list() == ["TST", "TSU"]
+
+
 def test_sudden_clog_is_called_within_three_flights(samples, nothing_done) -> None:
     loss = np.where(np.arange(FLIGHTS) >= 60, 0.32, 0.04)
     out = alerts_of(samples, track(samples, {2: loss}), nothing_done)

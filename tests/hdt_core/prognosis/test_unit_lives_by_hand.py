@@ -96,12 +96,24 @@ def test_prognoses_are_judged_by_what_became_of_them():
     """An event within 50 flights, none, or nobody knows."""
     features = flown(160)
     lives = episodes(features, faults_on((60, HX_CODE)), log((69, "HX", "REPLACED", "FOULED")))
-    prognoses = features.select("tail", "flight_id", "pack").with_columns(component=pl.lit("HX"))
+    prognoses = features.with_columns(component=pl.lit("HX"))
     outcomes = join_outcomes(pl.concat([prognoses, prognoses.with_columns(component=pl.lit("CC"))]), features, lives)
     by_flight = dict(outcomes.select("flight_id", "event_50").rows())
     assert [by_flight[f"T-1_{k:03d}"] for k in (0, 9, 10, 59, 70, 109, 110, 159)] == [0, 0, 1, 1, 0, 0, None, None]
     assert "T-1_060" not in by_flight  # the message's own flight
     assert "T-1_065" not in by_flight  # flown with the unit after its message
+
+
+def test_one_tail_and_flight_of_two_operators_are_two():
+    """Delivered under both, reported under one: the other's pack has not failed, and each is scored by its own life."""
+    features = pl.concat([flown(160), flown(160, operator="BBB")])
+    entries = log((69, "HX", "REPLACED", "FOULED"))
+    entries = pl.concat([entries, entries.with_columns(operator=pl.lit("BBB"))])
+    lives = episodes(features, faults_on((60, HX_CODE)), entries)
+    assert lives.filter(component="HX", life=0).select("operator", "failed").rows() == [("AAA", True), ("BBB", False)]
+    outcomes = join_outcomes(features.with_columns(component=pl.lit("HX")), features, lives)
+    by_operator = outcomes.filter(pl.col("flight_id") == "T-1_059").select("operator", "remaining", "failed").rows()
+    assert sorted(by_operator) == [("AAA", 1.0, True), ("BBB", 11.0, False)]
 
 
 def test_scores_by_hand():
