@@ -5,6 +5,7 @@ HDT_HOME ?= hdt_home
 LANDING ?= data_samples
 READY := $(VENV)/.ready
 PACKAGES := hdt_core pipelines dagster_batched sql extensions benchmarks
+unexport PYTHONDONTWRITEBYTECODE  # or every process of a test compiles the tree anew
 
 .PHONY: run test test-long mutate real soak audit dagster check lint types imports sql docs setup lock clean ui words
 

@@ -74,9 +74,12 @@ class _VerifiedCatalog:
 
     def __init__(self, con: duckdb.DuckDBPyConnection, home: Path) -> None:
         self._con, self._tables = con, Store(home.resolve()).tables
-        self._verified = _verified_tables(_version_or_none(home), int(time.time() / _TRUST_S))
-        sql = con.execute("select view_name, sql from duckdb_views() where schema_name = 'main' and not internal")
-        self._views = {str(name): _names(text) for name, text in sql.fetchall()}
+        version = _version_or_none(home)
+        self._verified = _verified_tables(version, int(time.time() / _TRUST_S))
+        self._views = _names_by_view(version)
+        if not self._views:
+            sql = con.execute("select view_name, sql from duckdb_views() where schema_name = 'main' and not internal")
+            self._views |= {str(name): _names(text) for name, text in sql.fetchall()}
 
     def sql(self, query: str, **how: Any) -> duckdb.DuckDBPyRelation:
         """Run a select."""
@@ -118,6 +121,12 @@ def _names(sql: str) -> set[str]:
 def _verified_tables(_catalog: tuple[int, int] | None, _hour: int) -> set[str]:
     """Cache of a catalog's tables whose files this process has checked within the hour."""
     return set()
+
+
+@lru_cache(maxsize=4)
+def _names_by_view(_catalog: tuple[int, int] | None) -> dict[str, set[str]]:
+    """Cache of the names in the SQL of a catalog's views."""
+    return {}
 
 
 def open_catalog(home: Path) -> duckdb.DuckDBPyConnection:

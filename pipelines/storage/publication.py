@@ -197,9 +197,9 @@ def find_catalog_fault(home: Path) -> str | None:
 def _recipe_hash(store: Store) -> str:
     """Hash all that determines a catalog but its files: place, views, columns and their meanings."""
     columns = [
-        f"{table}.{c} {t.schema.columns()[c].dtype} {means}"
+        f"{table}.{name} {column.dtype} {MEANINGS[table][name]}"
         for table, t in TABLES.items()
-        for c, means in MEANINGS[table].items()
+        for name, column in t.schema.columns().items()
     ]
     texts = [_folder(store), *STORED, *(sql for _, sql in sorted(views().items())), *columns]
     return hash_of("\n".join(texts).encode())

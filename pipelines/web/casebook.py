@@ -125,7 +125,7 @@ class Casebook:
 
     async def show(self, request: Request) -> Response:
         """Show one case."""
-        return await self._case(request)
+        return await self._case(request, await self._find(request))
 
     async def change(self, request: Request) -> Response:
         """Write a line about a case."""
@@ -144,10 +144,10 @@ class Casebook:
                 lambda: change_case(self.home, case, kind, person.name, int(line), **fields)
             )
         except ConflictError as error:
-            return await self._case(request, 409, f"Nothing was written: {error}.")
+            return await self._case(request, await self._find(request), 409, f"Nothing was written: {error}.")
         except RefusedError as error:
-            return await self._case(request, 422, f"Nothing was written: {error}.")
-        return await self._case(request, message=message)
+            return await self._case(request, case, 422, f"Nothing was written: {error}.")
+        return await self._case(request, await self._find(request), message=message)
 
     async def unreadable(self, request: Request, error: Exception) -> Response:
         """Report in one line why the catalog can't be read."""
@@ -160,8 +160,7 @@ class Casebook:
         cases = await _read(list_cases, self.home, "c.alert_id = $id", id=request.path_params["alert_id"])
         return next((c for c in cases if request.state.person.may_read(c["operator"])), None)
 
-    async def _case(self, request: Request, status: int = 200, message: str = "") -> Response:
-        case = await self._find(request)
+    async def _case(self, request: Request, case: Row | None, status: int = 200, message: str = "") -> Response:
         if case is None:
             return self._none(request)
         table, _digest = await _read(_read_shift, self.home)

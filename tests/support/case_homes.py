@@ -11,23 +11,20 @@ from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, Store
 
 
-def case_home(home: Path, loss: float = 0.2) -> Path:
+def case_home(home: Path) -> Path:
     """A pack of AAA with two open alerts, `wear` and `clog`, and a closed one, `gone`; one of BBB with `other`."""
     flights = [flight(n) for n in range(60)]
     theirs = {"operator": "BBB", "tail": "T-9"}
-    tables = {
-        "raw_flights": [*flights, flight(59, tail="T-9", operator="BBB")],
-        "twin_health": [*(fouling(n, 0.01) for n in range(59)), fouling(59, loss)],
-        "features_alerts": [
-            _alert("wear", 30),
-            _alert("clog", 50),
-            _alert("gone", 5, 20),
-            _alert("other", 59) | theirs,
-        ],
-        "components": component_rows(),
-    }
+    alerts = [_alert("wear", 30), _alert("clog", 50), _alert("gone", 5, 20), _alert("other", 59) | theirs]
+    flown = [*flights, flight(59, tail="T-9", operator="BBB")]
+    return publish_losses(home, 0.2, raw_flights=flown, features_alerts=alerts, components=component_rows())
+
+
+def publish_losses(home: Path, loss: float, **tables: list[dict]) -> Path:
+    """A night after which the pack of AAA has lost so much; further tables are stored as well."""
+    health = [*(fouling(n, 0.01) for n in range(59)), fouling(59, loss)]
     store = Store(home)
-    for name, rows in tables.items():
+    for name, rows in (tables | {"twin_health": health}).items():
         frame = TABLES[name].schema.conform(pl.DataFrame(rows, infer_schema_length=None))
         aircraft = [FLEET] if TABLES[name].grain == "fleet" else frame.select("operator", "tail").unique().rows()
         store.replace(name, aircraft, frame)

@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from case_homes import case_home
+from case_homes import case_home, publish_losses
 from small_catalog import START
 
 from hdt_core.errors import UserError
@@ -53,7 +53,7 @@ def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
     change(home, "wear", "mute", "Ada", until=SOON, note="parts on order")
     assert state(home) == "muted"
     for more, now in ((0.06, "worsened"), (0.04, "muted")):
-        assert state(case_home(home, loss=0.2 + more)) == now
+        assert state(publish_losses(home, 0.2 + more)) == now
     change(home, "wear", "reopen", "Ada", note="parts came")
     assert state(home) == "new"
 

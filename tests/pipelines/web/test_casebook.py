@@ -2,7 +2,9 @@
 
 import itertools
 import re
+import shutil
 from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from ipaddress import ip_network
 from pathlib import Path
@@ -12,11 +14,11 @@ import httpx
 import pytest
 from asgi_client import Client
 from browsers import served
-from case_homes import case_home
+from case_homes import case_home, publish_losses
 
 from pipelines.casework import find_case, history_of
 from pipelines.storage.cases import FILE
-from pipelines.storage.catalog import CATALOG
+from pipelines.storage.catalog import CATALOG, connect
 from pipelines.web import sign_in
 from pipelines.web.casebook import application
 from pipelines.web.guard import LOCAL
@@ -33,10 +35,23 @@ HOSTILE = "<script>alert(1)</script> {{ 7 * 7 }}"
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory) -> Path:
+def template_home(tmp_path_factory) -> Path:
     home = case_home(tmp_path_factory.mktemp("page") / "home")
     (home / sign_in.FILE).write_text(ROLES)
     return home
+
+
+@pytest.fixture(scope="module")
+def home(template_home, tmp_path_factory) -> Iterator[Path]:
+    """Open already, as a page that is asked often has it: DuckDB opens a file in a third of the time then."""
+    home = Path(shutil.copytree(template_home, tmp_path_factory.mktemp("open") / "home"))
+    with connect(home):
+        yield home
+
+
+@pytest.fixture
+def fresh_home(template_home, tmp_path) -> Path:
+    return Path(shutil.copytree(template_home, tmp_path / "home"))
 
 
 @pytest.fixture
@@ -109,7 +124,7 @@ def test_a_night_shows_at_once(tmp_path):
     home = case_home(tmp_path / "home")
     client = Client(application(home, LOCAL, lambda request: Person("Eng")))
     assert "20\N{NO-BREAK SPACE}% (18 to 22)" in client.get("/").text
-    case_home(home, loss=0.3)
+    publish_losses(home, 0.3)
     assert "30\N{NO-BREAK SPACE}% (28 to 32)" in client.get("/").text
 
 
@@ -250,35 +265,33 @@ def test_no_body_breaks_the_page(page, home, kind, body):
     assert history_of(home, "wear") == []
 
 
-def test_a_home_that_can_not_be_read_is_told_in_one_line(tmp_path):
-    home = case_home(tmp_path / "home")
-    client = Client(application(home, LOCAL, lambda request: Person("Eng")))
+def test_a_home_that_can_not_be_read_is_told_in_one_line(fresh_home):
+    client = Client(application(fresh_home, LOCAL, lambda request: Person("Eng")))
     assert say(client, "wear", "acknowledge").status_code == 200
     for what in (FILE, CATALOG):
-        (home / what).write_bytes(b"x" * 100)
+        (fresh_home / what).write_bytes(b"x" * 100)
         answer = client.get("/")
         assert answer.status_code == 503
         assert re.search(r'role="status">[^\n]+</p>', answer.text)
-        (home / what).unlink()
+        (fresh_home / what).unlink()
     assert client.get("/case/wear").status_code == 503
 
 
-def test_many_who_come_first_at_once_are_all_answered(tmp_path):
+def test_many_who_come_first_at_once_are_all_answered(fresh_home):
     """Six of a hundred got DuckDB's locked configuration."""
-    home = case_home(tmp_path / "home")
     token = LocalToken(Person("ada"))
-    app = application(home, LOCAL, token)
+    app = application(fresh_home, LOCAL, token)
     with served(app) as address, httpx.Client(base_url=address, timeout=60) as one:
         one.get("/", params={"token": token.token})
         origin = {"origin": address}
 
         def ask(n: int) -> int:
-            if n % 20 == 0:
+            if n % 10 == 0:
                 return one.post("/case/gone", data={"kind": "watch", "seen": "0"}, headers=origin).status_code
             return one.get(("/", "/?all", "/case/wear")[n % 3]).status_code
 
         with ThreadPoolExecutor(20) as pool:
-            answers = Counter(pool.map(ask, range(100)))
+            answers = Counter(pool.map(ask, range(50)))
     assert set(answers) <= {200, 409}
     assert answers[409] == 4, "of five who write the first line one does"
 
