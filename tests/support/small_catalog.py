@@ -2,6 +2,7 @@
 
 import datetime as dt
 from collections.abc import Sequence
+from functools import cache
 
 import duckdb
 import polars as pl
@@ -16,22 +17,34 @@ OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
 
 def catalog(**tables: list[dict]) -> duckdb.DuckDBPyConnection:
     """The views over tables made of these rows; what is not named is null, tables not named are empty."""
+    con = _empty_catalog().cursor()
+    con.execute("set TimeZone = 'America/Lima'")
+    con.begin()  # never committed: others find the tables empty
+    fill(con, **{"components": component_rows()} | tables)
+    return con
+
+
+@cache
+def _empty_catalog() -> duckdb.DuckDBPyConnection:
+    """Views over tables without a row, half a second's work."""
     con = duckdb.connect()
     con.execute("create schema tables")
-    fill(con, **dict.fromkeys(TABLES, ()) | {"components": component_rows()} | tables)
+    for name, table in TABLES.items():
+        arrow_table = table.schema.create_empty().to_arrow()  # noqa: F841
+        con.execute(f"create table tables.{name} as select * from arrow_table")
     for _, sql in order_views(views()):
         con.execute(sql)
-    con.execute("set TimeZone = 'America/Lima'")
     return con
 
 
 def fill(con: duckdb.DuckDBPyConnection, **tables: Sequence[dict]) -> None:
-    """Make tables anew of these rows."""
+    """Let tables hold these rows and no others."""
     for name, rows in tables.items():
-        schema = TABLES[name].schema
-        frame = schema.conform(pl.DataFrame(rows, infer_schema_length=None)) if rows else schema.create_empty()
-        arrow_table = frame.to_arrow()  # noqa: F841
-        con.execute(f"create or replace table tables.{name} as select * from arrow_table")
+        con.execute(f"delete from tables.{name}")
+        if rows:
+            frame = TABLES[name].schema.conform(pl.DataFrame(rows, infer_schema_length=None))
+            arrow_table = frame.to_arrow()  # noqa: F841
+            con.execute(f"insert into tables.{name} by name select * from arrow_table")
 
 
 def flight(n: int, *, tail: str = "T-1", operator: str = "AAA") -> dict:
