@@ -7,6 +7,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Sequence
+from functools import cache
 from itertools import groupby
 from pathlib import Path
 
@@ -53,6 +54,7 @@ def dictionary() -> str:
     return "\n".join(parts).rstrip() + "\n"
 
 
+@cache
 def view_columns() -> dict[str, list[tuple[str, str, str]]]:
     """Return every view's columns as name, type and meaning with unit; the meaning may be empty."""
     with tempfile.TemporaryDirectory() as home:

@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from command import hdt
 
 from pipelines.storage.ledger import Ledger
 
@@ -51,18 +52,16 @@ def read_only(own_home):
     permit(home, writing=True)
 
 
-def look(command: str, landing: Path, home: Path, out: Path) -> subprocess.CompletedProcess[str]:
+def words_of(command: str, landing: Path, home: Path, out: Path) -> list[str]:
     words = [w.format(out=out, landing=landing) for w in LOOKS[command]]
-    run = [sys.executable, "-c", "from pipelines.cli import main; main()", command.split(maxsplit=1)[0], *words]
-    return subprocess.run(
-        [*run, "--home", str(home)], capture_output=True, text=True, check=False, preexec_fn=as_anybody
-    )
+    return [command.split(maxsplit=1)[0], *words, "--home", str(home)]
 
 
 @pytest.mark.parametrize("command", LOOKS)
 def test_what_only_looks_needs_no_leave_to_write(read_only, tmp_path, command):
     landing, home = read_only
-    done = look(command, landing, home, tmp_path)
+    run = [sys.executable, "-c", "from pipelines.cli import main; main()", *words_of(command, landing, home, tmp_path)]
+    done = subprocess.run(run, capture_output=True, text=True, check=False, preexec_fn=as_anybody)
     if command == "doctor":  # which is asked whether a night could run
         assert [line for line in done.stdout.splitlines() if "FAULT" in line] == [
             f"FAULT  home: {home} is not writable"
@@ -75,13 +74,13 @@ def test_what_only_looks_needs_no_leave_to_write(read_only, tmp_path, command):
 def test_what_only_looks_leaves_no_trace(own_home, tmp_path, command):
     landing, home = own_home
     before = tree(home)
-    assert look(command, landing, home, tmp_path).returncode == 0
+    assert hdt(*words_of(command, landing, home, tmp_path)).returncode == 0
     assert tree(home) == before
 
 
 def test_a_dry_run_makes_no_home(own_home, tmp_path):
     landing, _ = own_home
-    assert look("nightly", landing, tmp_path / "none", tmp_path).returncode == 0
+    assert hdt(*words_of("nightly", landing, tmp_path / "none", tmp_path)).returncode == 0
     assert not (tmp_path / "none").exists()
 
 

@@ -14,14 +14,13 @@ from pathlib import Path
 import duckdb
 import polars as pl
 import pytest
+from command import hdt
 from hostile import FORMULA
 from hypothesis import given
 from hypothesis import strategies as st
 from nights import once
-from typer.testing import CliRunner
 
 from hdt_core.tables import TABLES
-from pipelines import cli
 from pipelines.sharing import FORMATS, MANIFEST, AccessScope, access_scope, export, safe
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.publication import publish, tables_read, views
@@ -209,17 +208,14 @@ def test_an_export_comes_whole_or_not_at_all(home, tmp_path, monkeypatch):
     def kill_export() -> int:
         return subprocess.run([sys.executable, "-c", KILLED, *words], capture_output=True, check=False).returncode
 
-    def run_export(*more: str) -> int:
-        return CliRunner().invoke(cli.app, [*map(str, words), *more]).exit_code
-
     assert kill_export() < 0
     assert not out.exists()
-    assert run_export() == 0
+    assert hdt(*words).returncode == 0
     before = (out / "flights.parquet").read_bytes()
     assert kill_export() < 0
     assert (out / "flights.parquet").read_bytes() == before
     monkeypatch.setenv("HDT_EXPORT_KEY", KEY.decode())
-    assert run_export("--pseudonymise", "--format", "csv") == 0
+    assert hdt(*words, "--pseudonymise", "--format", "csv").returncode == 0
     assert {f.name for f in out.iterdir()} == {"flights.csv", MANIFEST}, "what an earlier export told is gone"
     assert [f.name for f in tmp_path.iterdir()] == ["out"], "and so is what killed ones left"
 
@@ -251,14 +247,13 @@ def test_nothing_else_is_overwritten(home, tmp_path):
     ],
     ids=lambda w: " ".join(w) if isinstance(w, tuple) else "",
 )
-def test_what_is_wrong_is_said_in_one_line_without_the_key(home, tmp_path, monkeypatch, capsys, words, message):
+def test_what_is_wrong_is_said_in_one_line_without_the_key(home, tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("HDT_EXPORT_KEY", raising=False)
     Path("short").write_text("canary-key")
-    monkeypatch.setattr(sys, "argv", ["hdt", "export", "--home", str(home), "--out", str(tmp_path / "out"), *words])
-    with pytest.raises(SystemExit):
-        cli.main()
-    stderr = capsys.readouterr().err
+    done = hdt("export", "--home", home, "--out", tmp_path / "out", *words)
+    assert done.returncode == 2
+    stderr = done.stderr
     assert message in stderr
     assert len(stderr.splitlines()) == 1
     assert "canary" not in stderr.replace(str(tmp_path), "").replace(str(home), "")

@@ -1,7 +1,6 @@
 """Nobody in: hostile files, names, questions and models. Nothing is executed, nothing is written outside the home."""
 
 import pickle
-import sys
 from pathlib import Path
 
 import duckdb
@@ -9,10 +8,10 @@ import polars as pl
 import pytest
 import skops.io
 import yaml
+from command import hdt
 from hostile import CANARY, FILES, LINKS, PIPE, SCRIPT, Bomb
 from skops.io.exceptions import UntrustedTypesFoundException
 
-from pipelines import cli
 from pipelines.learned import TRUSTED_TYPES
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.catalog import connect, run_select
@@ -102,20 +101,13 @@ def test_a_name_that_is_no_name_becomes_no_path(aircraft):
     ],
     ids=" ".join,
 )
-def test_a_hostile_argument_is_answered_in_one_line(watched, monkeypatch, capsys, arguments):
+def test_a_hostile_argument_is_answered_in_one_line(watched, monkeypatch, arguments):
     monkeypatch.setenv("HDT_HOME", str(watched.home))
     monkeypatch.setenv("HDT_LANDING", str(watched.landing))
     before = listing(watched.home)
-    assert command(monkeypatch, *arguments) == 2
-    assert capsys.readouterr().err.startswith("hdt: ")
+    done = hdt(*arguments)
+    assert (done.returncode, done.stderr[:5]) == (2, "hdt: ")
     assert listing(watched.home) == before
-
-
-def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["hdt", *arguments])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    return int(end.value.code or 0)
 
 
 def listing(home: Path) -> set[Path]:
@@ -156,10 +148,10 @@ QUESTIONS = (
 
 
 @pytest.mark.parametrize("question", QUESTIONS)
-def test_a_hostile_question_gets_no_answer_and_leaves_nothing(watched, monkeypatch, capsys, question):
+def test_a_hostile_question_gets_no_answer_and_leaves_nothing(watched, question):
     before = listing(watched.root)
-    assert command(monkeypatch, "query", "--home", str(watched.home), question.format(home=watched.home)) == 2
-    assert capsys.readouterr().err.startswith("hdt: ")
+    done = hdt("query", "--home", watched.home, question.format(home=watched.home))
+    assert (done.returncode, done.stderr[:5]) == (2, "hdt: ")
     assert listing(watched.root) == before
 
 
