@@ -5,18 +5,17 @@ import os
 import re
 import signal
 import sqlite3
-import sys
 import tempfile
 from itertools import count
 from pathlib import Path
 
 import pytest
+from command import hdt
 from soundness import faults
 from sqlalchemy.exc import OperationalError
 
 from benchmarks import fault_points
 from benchmarks.fingerprint import fingerprint
-from pipelines import cli
 from pipelines.orchestration import nightly
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage import files
@@ -57,7 +56,7 @@ def test_disk_full_at_a_writer_then_space_again(tiny, children, intact, tmp_path
     }
 
 
-def test_a_home_that_may_not_be_written(tiny, children):
+def test_a_home_that_may_not_be_written(children):
     """The night stops with the reason, and leaves the home as it was. In a folder that anyone may enter."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
@@ -85,19 +84,16 @@ def test_a_home_that_may_not_be_written(tiny, children):
         (OperationalError("insert", {}, sqlite3.OperationalError("disk I/O error")), "hdt: disk I/O error; free space"),
     ],
 )
-def test_the_command_says_so_in_one_line(monkeypatch, capsys, tmp_path, error, line):
+def test_the_command_says_so_in_one_line(monkeypatch, tmp_path, error, line):
     def full(*_: object, **__: object) -> None:
         raise error
 
     (tmp_path / "fleet.csv").write_text("operator,tail,msn,delivered_on,packs\n")
     monkeypatch.setattr(nightly, "run_night", full)
-    monkeypatch.setattr(sys, "argv", ["hdt", "nightly", "--landing", str(tmp_path), "--home", str(tmp_path / "home")])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    assert end.value.code == 2
-    message = capsys.readouterr().err.strip()
-    assert message.startswith(line)
-    assert len(message.splitlines()) == 1
+    done = hdt("nightly", "--landing", tmp_path, "--home", tmp_path / "home")
+    assert done.returncode == 2
+    assert done.stderr.strip().startswith(line)
+    assert len(done.stderr.strip().splitlines()) == 1
 
 
 def test_what_is_not_yet_on_disk_has_no_name(tmp_path, monkeypatch):

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import duckdb
 import pytest
-from case_homes import case_home
 
 from pipelines.storage import catalog
 from pipelines.storage.catalog import CATALOG, connect
@@ -68,8 +67,9 @@ def test_keys_are_unique_and_never_null(con, view):
 @pytest.mark.parametrize("view", contract())
 def test_missing_is_null_and_never_nan(con, view):
     numbers = [c[0] for c in con.execute(f"describe {view}").fetchall() if c[1] in {"DOUBLE", "FLOAT"}]
-    for column in numbers:
-        assert con.execute(f'select count(*) from {view} where isnan("{column}")').fetchone()[0] == 0, column
+    counts = [f'count(*) filter (isnan("{column}"))' for column in numbers]
+    n_nan = con.execute(f"select {', '.join(counts) or 0} from {view}").fetchone()
+    assert [column for column, n in zip(numbers, n_nan, strict=False) if n] == []
 
 
 def test_every_delivered_row_is_accounted_for(con):
@@ -98,8 +98,15 @@ def test_health_parameters_hold_what_the_contract_names(con):
 COUNT = "select count(*) from flights"
 
 
-def test_a_reader_keeps_reading_while_the_catalog_is_published(own_home):
-    _, home = own_home
+@pytest.fixture(scope="module")
+def home(sample_home, tmp_path_factory) -> Path:
+    """A copy of the sample home with a catalog of its own place."""
+    home = Path(shutil.copytree(sample_home, tmp_path_factory.mktemp("published") / "home"))
+    publish(home)
+    return home
+
+
+def test_a_reader_keeps_reading_while_the_catalog_is_published(home):
     reader = connect(home)
     before = reader.execute("select count(*) from flights").fetchone()
     publish(home)
@@ -183,17 +190,16 @@ def test_a_home_may_lie_elsewhere_and_nothing_has_to_be_written(own_home, tmp_pa
     assert (there / CATALOG).read_bytes() == before
 
 
-def test_a_catalog_may_be_attached_to_another_database(own_home, tmp_path):
-    _, home = own_home
-    publish(home)
+def test_a_catalog_may_be_attached_to_another_database(home, tmp_path):
     with duckdb.connect() as con:
         con.execute(f"attach '{home / CATALOG}' as other (read_only)")
         assert con.execute("select count(*) from other.flights").fetchone()[0] > 0
-    home.rename(tmp_path / "moved")
+    moved = home.rename(tmp_path / "moved")
     with duckdb.connect() as con:
-        con.execute(f"attach '{tmp_path / 'moved' / CATALOG}' as other (read_only)")
-        con.execute(f"set variable tables_folder = '{tmp_path / 'moved/tables'}/'")
+        con.execute(f"attach '{moved / CATALOG}' as other (read_only)")
+        con.execute(f"set variable tables_folder = '{moved / 'tables'}/'")
         assert con.execute("select count(*) from other.flights").fetchone()[0] > 0
+    moved.rename(home)
 
 
 def _without_a_view(path: Path) -> None:
@@ -218,9 +224,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_broken_catalog_is_told_and_the_next_night_makes_it_anew(own_home, damage):
-    _, home = own_home
-    publish(home)
+def test_a_broken_catalog_is_told_and_the_next_night_makes_it_anew(home, damage):
     assert find_catalog_fault(home) is None
     DAMAGE[damage](home / CATALOG)
     assert find_catalog_fault(home)
@@ -231,16 +235,14 @@ def test_a_broken_catalog_is_told_and_the_next_night_makes_it_anew(own_home, dam
     assert find_catalog_fault(home) is None
 
 
-def test_a_copy_is_made_anew_for_its_own_place(own_home, sample_home):
-    _, home = own_home
-    publish(home)
-    (home / CATALOG).write_bytes((sample_home / CATALOG).read_bytes())
-    assert "another place" in str(find_catalog_fault(home))
+def test_a_copy_is_made_anew_for_its_own_place(own_home):
+    _, copied = own_home
+    assert "another place" in str(find_catalog_fault(copied))
 
 
-def test_readers_of_one_process_that_come_first_at_once_all_answer(tmp_path, monkeypatch):
+def test_readers_of_one_process_that_come_first_at_once_all_answer(home, monkeypatch):
     """Of two that find the configuration open, one locks it before the other has changed it."""
-    home, lock = case_home(tmp_path / "home"), catalog.restrict
+    lock = catalog.restrict
 
     def lock_late(*arguments):
         time.sleep(0.05)
@@ -248,11 +250,12 @@ def test_readers_of_one_process_that_come_first_at_once_all_answer(tmp_path, mon
 
     def count(_: int) -> int:
         with connect(home) as con:
-            return con.execute("select count(*) from cases").fetchone()[0]
+            return con.execute(COUNT).fetchone()[0]
 
     monkeypatch.setattr(catalog, "restrict", lock_late)
     with ThreadPoolExecutor(8) as pool:
-        assert set(pool.map(count, range(16))) == {4}
+        (flights,) = set(pool.map(count, range(16)))
+    assert flights > 0
 
 
 def test_nobody_writes_through_the_catalog(sample_home):
@@ -269,12 +272,10 @@ def view_texts(home: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("spoiled", [None, "catalog", "hash"])
-def test_a_catalog_that_goes_on_from_the_last_is_the_one_built_anew(sample_home, tmp_path, spoiled):
-    home = tmp_path / "home"
-    shutil.copytree(sample_home, home)
-    store = Store(home)
-    aircraft = ("AQX", "LX-AAB")
-    store.replace("features_alerts", [aircraft], store.read_table("features_alerts", [aircraft]).head(1))
+def test_a_catalog_that_goes_on_from_the_last_is_the_one_built_anew(home, spoiled):
+    store, aircraft = Store(home), ("BZR", "A9-BAC")
+    alerts = store.read_table("features_alerts", [aircraft])
+    store.replace("features_alerts", [aircraft], alerts.head(-1))
     if spoiled == "catalog":
         content = bytearray((home / CATALOG).read_bytes())
         content[len(content) // 2] ^= 1
@@ -284,7 +285,8 @@ def test_a_catalog_that_goes_on_from_the_last_is_the_one_built_anew(sample_home,
     publish(home)
     expected = view_texts(home)
     with connect(home) as con:
-        assert con.execute("select count(*) from tables.features_alerts where tail = 'LX-AAB'").fetchone() == (1,)
+        stored = con.execute("select count(*) from tables.features_alerts where tail = 'A9-BAC'").fetchone()
+    assert stored == (alerts.height - 1,)
     (home / HASH).unlink()
     publish(home)
     assert view_texts(home) == expected
