@@ -3,6 +3,7 @@
 import html
 import re
 from datetime import UTC, date, datetime
+from functools import cache
 from pathlib import Path
 
 import polars as pl
@@ -96,6 +97,7 @@ def home(zone, sample_home, tmp_path_factory):
     return home
 
 
+@cache
 def table(home: Path, name: str) -> pl.DataFrame:
     with connect(home) as con:
         return con.sql(f"select * from tables.{name}").pl()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from small_catalog import catalog
 from typer.testing import CliRunner
 
 from hdt_core.components import component_rows
@@ -135,18 +136,13 @@ def test_seven_places_share_one_order_that_follows_the_prognosis(home, report, c
 
 
 @pytest.mark.parametrize(("chance", "urgency"), [(0.501, "act"), (0.499, "plan"), (0.101, "plan"), (0.099, "none")])
-def test_the_chance_before_the_next_chance_to_act_decides(tmp_path, chance, urgency):
+def test_the_chance_before_the_next_chance_to_act_decides(chance, urgency):
     """30 flights lie before the end of 30 days: the hazard between 25 and 50 flights is even."""
     points = {f"p_event_{n}": min(1.0, chance * n / 30) for n in (25, 50, 100, 200, 300)}
     points["p_event_50"] = 1 - (1 - chance) ** 5 / (1 - points["p_event_25"]) ** 4
-    store, own = Store(tmp_path), tables("T-1")
-    for name in ("raw_flights", "twin_health"):
-        store.replace(name, [("AAA", "T-1")], pl.DataFrame(own[name]))
-    outlook = pl.DataFrame(own["prognoses"]).filter(pl.col("pack") == 1)
-    store.replace("prognoses", [FLEET], outlook.with_columns(pl.lit(v).alias(c) for c, v in points.items()))
-    store.replace("components", [FLEET], pl.DataFrame(component_rows()))
-    publish(tmp_path)
-    with connect(tmp_path) as con:
+    own = tables("T-1") | {"features_alerts": []}
+    outlook = [row | points for row in own["prognoses"] if row["pack"] == 1]
+    with catalog(**own | {"prognoses": outlook}) as con:
         ((got, expected),) = con.sql("select urgency, chance from unit_urgencies").fetchall()
         ranked = con.sql("select urgency from fleet_ranking where pack = 1").fetchall()
     assert expected == pytest.approx(chance, abs=1e-6)

@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import duckdb
 import polars as pl
 import pytest
+from small_catalog import catalog
 from spoils import column, field
 
 from pipelines.cli.base import app
@@ -42,17 +44,23 @@ def drop(landing: Path, spoils: list[Spoil], folder: str = "AQX/LX-AAA") -> None
         (landing / folder / f"acms/LX-AAA_{flight}.csv").write_bytes(content)
 
 
+TAKEN_IN = ("raw_snapshots", "raw_deliveries", "raw_quarantine")
+
+
 def night(landing: Path, home: Path) -> frozenset[str]:
-    """Take in and publish what lies there, as far as the raw stage; the files that came."""
+    """Take in what lies there, as far as the raw stage; the files that came."""
     store, ledger, aircraft = Store(home), Ledger(home), ("AQX", "LX-AAA")
     new_paths = scan(landing, ledger).new_paths
     flights = ledger.flights_on_file()["flight_id"].to_list()
     intake = ingest_flights(landing, store, ledger, aircraft, flights)
-    frames = {"raw_snapshots": intake.rows, "raw_deliveries": intake.deliveries, "raw_quarantine": intake.quarantine}
-    for table, frame in frames.items():
+    for table, frame in zip(TAKEN_IN, (intake.rows, intake.deliveries, intake.quarantine), strict=True):
         store.merge(table, {aircraft: flights}, frame)
-    publish(home)
     return new_paths
+
+
+def read(home: Path) -> duckdb.DuckDBPyConnection:
+    """The catalog of what was taken in."""
+    return catalog(**{table: Store(home).read_table(table).to_dicts() for table in TAKEN_IN})
 
 
 @pytest.fixture
@@ -65,6 +73,7 @@ def test_a_column_refused_wholesale_is_told_with_since_when_and_its_likely_unit(
     landing, home = zone
     drop(landing, [as_it_is, KNOTS, as_it_is, KNOTS, KNOTS])
     night(landing, home)
+    publish(home)
     with connect(home) as con:
         (line,) = silent_lines(silent_columns(con))
         digest = compare(EMPTY, read_state(con))
@@ -78,7 +87,7 @@ def test_a_column_refused_wholesale_is_told_with_since_when_and_its_likely_unit(
     assert line in check.message
     drop(landing, [as_it_is, KNOTS, as_it_is, KNOTS, KNOTS, as_it_is])
     night(landing, home)
-    with connect(home) as con:
+    with read(home) as con:
         assert silent_columns(con) == []
 
 
@@ -86,12 +95,12 @@ def test_whole_rows_refused_are_silence_and_a_spike_is_none(zone):
     landing, home = zone
     drop(landing, [as_it_is, LATE, LATE])
     night(landing, home)
-    with connect(home) as con:
+    with read(home) as con:
         (row,) = silent_columns(con)
     assert (row["column_name"], row["reason"], row["n_files"], row["n_refused"]) == ("pack", "bad_pack", 2, 84)
     drop(landing, [as_it_is, LATE, LATE, field(7, "hx_out_degc", b"999")])
     night(landing, home)
-    with connect(home) as con:
+    with read(home) as con:
         assert silent_columns(con) == []
 
 
@@ -99,7 +108,7 @@ def test_a_night_that_set_rows_aside_says_how_many_of_which_file_and_why(zone):
     landing, home = zone
     drop(landing, [as_it_is, LATE])
     new_paths = night(landing, home)
-    with connect(home) as con:
+    with read(home) as con:
         line = quarantine_line(con, new_paths)
         assert quarantine_line(con, frozenset()) == ""
     assert line.startswith(
