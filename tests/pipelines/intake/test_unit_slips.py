@@ -80,8 +80,8 @@ def count_slips(slips: pl.DataFrame, columns: tuple[str, ...], words: str) -> in
 @pytest.mark.parametrize(
     ("columns", "scale", "offset", "unit"), OTHER_UNITS, ids=lambda v: v if isinstance(v, str) else ""
 )
-def test_columns_in_another_unit_are_told_by_name(columns, scale, offset, unit, quarter):
-    recorded = quarter.filter(pl.any_horizontal(pl.col(columns).is_not_null()))
+def test_columns_in_another_unit_are_told_by_name(columns, scale, offset, unit, eighth):
+    recorded = eighth.filter(pl.any_horizontal(pl.col(columns).is_not_null()))
     slips = find_unit_slips(recorded.with_columns((pl.col(c) * scale + offset).round(3) for c in columns))
     right = count_slips(slips, columns, f"It fits {unit}.")
     assert right > LEAST * recorded.height
@@ -105,43 +105,43 @@ def _calibrated_kt(mach: pl.Expr) -> pl.Expr:
 @pytest.mark.parametrize(
     "knots", [_true_kt, _calibrated_kt, lambda mach: mach * 661.4786], ids=["true", "calibrated", "by sea level"]
 )
-def test_a_mach_number_in_knots_is_told_of_its_values(knots, quarter):
+def test_a_mach_number_in_knots_is_told_of_its_values(knots, eighth):
     """Out of range as it is, so the rows stay; but the likely unit is named."""
-    wrong = quarter.with_columns(knots(pl.col("mach")).round(1).alias("mach"))
+    wrong = eighth.with_columns(knots(pl.col("mach")).round(1).alias("mach"))
     slips = find_unit_slips(wrong)
     assert set(slips["reason"]) == {"out_of_range"}
-    assert count_slips(slips, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
+    assert count_slips(slips, ("mach",), "It fits knots.") > 0.97 * eighth["mach"].count()
 
 
-def test_a_mach_number_beyond_all_numbers_is_no_unit(quarter):
+def test_a_mach_number_beyond_all_numbers_is_no_unit(eighth):
     far = pl.when(pl.int_range(pl.len()) % 2 == 0).then(1e300).otherwise(pl.int_range(pl.len()) * 1e90)
-    assert find_unit_slips(quarter.with_columns(far.alias("mach"))).is_empty()
+    assert find_unit_slips(eighth.with_columns(far.alias("mach"))).is_empty()
 
 
-def test_a_mach_number_in_knots_is_told_without_pressure_to_hold_it_against(quarter):
-    alone = quarter.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*PSI, "altitude_ft"))
+def test_a_mach_number_in_knots_is_told_without_pressure_to_hold_it_against(eighth):
+    alone = eighth.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*PSI, "altitude_ft"))
     slips = find_unit_slips(alone.with_columns(_true_kt(pl.col("mach")).alias("mach")))
-    assert count_slips(slips, ("mach",), "It fits knots.") > 0.97 * quarter["mach"].count()
+    assert count_slips(slips, ("mach",), "It fits knots.") > 0.97 * eighth["mach"].count()
 
 
 @pytest.mark.parametrize(("one", "other"), SWAPPED)
-def test_columns_in_each_others_place_are_told_by_name(one, other, quarter):
-    recorded = quarter.drop_nulls([one, other])
+def test_columns_in_each_others_place_are_told_by_name(one, other, eighth):
+    recorded = eighth.drop_nulls([one, other])
     slips = find_unit_slips(recorded.with_columns(pl.col(one).alias(other), pl.col(other).alias(one)))
     assert count_slips(slips, (one, other), "change places") > LEAST * recorded.height
 
 
-def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(quarter):
+def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(eighth):
     swapped = pl.col("pack") == 1
     one, other = pl.col("hx_in_degc"), pl.col("hx_out_degc")
-    wired = quarter.with_columns(
+    wired = eighth.with_columns(
         pl.when(swapped).then(other).otherwise(one).alias("hx_in_degc"),
         pl.when(swapped).then(one).otherwise(other).alias("hx_out_degc"),
     )
     slips = find_unit_slips(wired)
     assert set(slips["column_name"]) == {"hx_in_degc, hx_out_degc"}
     assert set(wired[slips["index"].to_list()]["pack"]) == {1}
-    assert slips.height > LEAST * quarter.filter(pack=1).height
+    assert slips.height > LEAST * eighth.filter(pack=1).height
 
 
 @pytest.mark.parametrize(
@@ -149,27 +149,27 @@ def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(quarter
     [("hx_out_degc", 25), ("hx_out_degc", 40), ("hx_in_degc", -40), ("hx_in_degc", 60), ("cc_in_degc", -15),
      ("cc_out_degc", 60), ("ram_out_degc", 50), ("pack_flow_lbpm", -30), ("cc_out_psia", 3), ("tat_degc", 15)],
 )  # fmt: skip
-def test_a_sensor_that_reads_too_much_is_no_slip_of_the_pen(column, off, quarter):
+def test_a_sensor_that_reads_too_much_is_no_slip_of_the_pen(column, off, eighth):
     """On one pack, as sensors fail, or the one probe of the aircraft: stored, and judged flight by flight."""
     sick = pl.col("pack") == 1 if column != "tat_degc" else pl.lit(True)
     slips = find_unit_slips(
-        quarter.with_columns(pl.when(sick).then(pl.col(column) + off).otherwise(column).alias(column))
+        eighth.with_columns(pl.when(sick).then(pl.col(column) + off).otherwise(column).alias(column))
     )
-    assert slips.height < 0.01 * quarter.height, slips.group_by("column_name", "sentence").len()
+    assert slips.height < 0.01 * eighth.height, slips.group_by("column_name", "sentence").len()
 
 
 @pytest.mark.parametrize(
     ("column", "value"), [("tat_degc", 32.5), ("pack_flow_lbpm", 0.0), ("ram_door_pct", 0.5), ("hx_in_degc", 300.0)]
 )
-def test_a_sensor_that_stands_still_is_no_slip_of_the_pen(column, value, quarter):
-    slips = find_unit_slips(quarter.with_columns(pl.when(pl.col(column).is_not_null()).then(value).alias(column)))
+def test_a_sensor_that_stands_still_is_no_slip_of_the_pen(column, value, eighth):
+    slips = find_unit_slips(eighth.with_columns(pl.when(pl.col(column).is_not_null()).then(value).alias(column)))
     assert slips.is_empty(), slips.group_by("column_name", "sentence").len()
 
 
 @pytest.fixture(scope="module")
-def quarter(fleet):
-    """Every fourth flight, with the ram outlet's sensor where it was not fitted."""
-    flights = fleet.filter(pl.col("flight_id").rank("dense") % 4 == 0)
+def eighth(fleet):
+    """Every eighth flight, with the ram outlet's sensor where it was not fitted."""
+    flights = fleet.filter(pl.col("flight_id").rank("dense") % 8 == 0)
     fitted = pl.col("hx_out_degc") * 0.3 + pl.col("hx_in_degc") * 0.4
     return flights.with_columns(pl.coalesce("ram_out_degc", fitted))
 
