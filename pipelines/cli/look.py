@@ -113,7 +113,8 @@ def query(
             if result is not None:
                 result.show(max_width=10_000 if not sys.stdout.isatty() else out.width, max_rows=1_000)
         except (duckdb.Error, ValueError) as error:
-            raise StopError(str(error).strip().splitlines()[0]) from None
+            message, _, _ = str(error).strip().partition("\n\n")  # below stands where in the text
+            raise StopError(" ".join(message.split())) from None
 
 
 @app.command()

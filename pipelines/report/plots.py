@@ -161,11 +161,10 @@ def outlet_residuals(cruise: pl.DataFrame, twin_flight: pl.DataFrame, dsm: Dsm) 
     alone = cruise.with_columns(sample=pl.format("{}", pl.int_range(pl.len())))
     flights = alone.select("sample").join(twin_flight, how="cross")
     samples, twins = (f.drop("flight_id").rename({"sample": "flight_id"}) for f in (alone, flights))
-    rows = residuals(samples, twins, dsm).filter(signal="hx_out_k").pivot("kind", index="flight_id", values="mean")
-    if not rows.height:
-        return alone.clear().with_columns(sensor_minus_twin=pl.lit(0.0), sensor_minus_dsm=pl.lit(0.0))
-    wide = alone.join(rows.rename({"flight_id": "sample"}), on="sample", validate="m:1")
-    return wide.drop_nulls(["sensor_minus_twin", "sensor_minus_dsm"]).sort("time_utc")
+    kinds = ("sensor_minus_twin", "sensor_minus_dsm")
+    means = (pl.col("mean").filter(pl.col("kind") == kind).first().alias(kind) for kind in kinds)
+    rows = residuals(samples, twins, dsm).filter(signal="hx_out_k").group_by(sample="flight_id").agg(*means)
+    return alone.join(rows, on="sample", validate="m:1").drop_nulls(kinds).sort("time_utc")
 
 
 def around_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> tuple[dict[str, Any], pl.DataFrame] | None:

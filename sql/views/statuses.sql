@@ -20,7 +20,11 @@ with explained as (
             'some ten steady flights of the part as built calibrate it'
         ),
         ('not_identifiable', 'the flight does not determine it', null),
-        ('not_recorded', 'a signal that it needs is not recorded', 'see the view coverage'),
+        (
+            'not_recorded',
+            'a signal that it needs is not recorded',
+            'compare the files with `hdt docs raw-data`; the view coverage lists what aircraft with a type lack'
+        ),
         ('measured', 'a reading of the recorder, without a model', null),
         ('off_nominal', 'the flight has no usable sample of the reading', null),
         ('few_samples', 'too few samples', null),

@@ -161,9 +161,11 @@ def test_a_second_night_at_the_same_time_stops_with_a_clear_line(own_home):
 
 def test_query_answers_and_says_what_is_wrong(sample_home):
     assert "LX-AAB" in hdt("query", "--home", sample_home, "select distinct tail from flights").stdout
-    wrong = hdt("query", "--home", sample_home, "select nothing_such from flights")
+    wrong = hdt("query", "--home", sample_home, "select operatr from flights")
     assert wrong.returncode == 2
-    assert "nothing_such" in wrong.stderr
+    assert "operatr" in wrong.stderr
+    assert '"operator"' in wrong.stderr
+    assert wrong.stderr.count("\n") == 1
 
 
 def test_a_dry_run_names_the_new_files_and_takes_nothing_in(sample_landing, tmp_path):

@@ -115,3 +115,11 @@ def test_without_a_flight_there_is_still_something_to_show(calibrated):
     dsm = calibrate(none, fleet.legs.clear(), fleet.maintenance)
     metadata = calibration_metadata(none, estimate_flights(none, dsm), fleet.maintenance, dsm)
     assert metadata["units_that_drift"] == 0
+
+
+def test_a_flight_without_an_estimate_has_no_picture_and_costs_no_calibration(calibrated):
+    """An outlet hotter than the inlet: the model has an answer and the twin none."""
+    fleet, dsm, _ = calibrated
+    heated = fleet.samples.with_columns(hx_out_k=pl.col("hx_in_k") + 20.0)
+    metadata = calibration_metadata(heated, estimate_flights(heated, dsm), fleet.maintenance, dsm)
+    assert "figure_15" in metadata
