@@ -17,6 +17,7 @@ from browsers import served
 from case_homes import case_home, publish_losses
 
 from pipelines.casework import find_case, history_of
+from pipelines.digest.changes import Digest
 from pipelines.storage.cases import FILE
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.web import sign_in
@@ -87,6 +88,17 @@ def test_an_engineer_takes_a_case_through_its_life(page, home):
     assert (case["state"], case["found_by"], case["owner"]) == ("answered", "Eng", "Bo")
     assert "assigned to Bo" not in client.get("/").text
     assert client.get("/docs").status_code == 404
+
+
+def test_changes_are_named_in_a_line_and_told_when_opened(fresh_home, monkeypatch):
+    """The packs in need of attention stay on the first screen, however much changed."""
+    gaps = [{"operator": "AAA", "tail": f"T-{n}", "gap": "never_heard", "n_flights": None} for n in range(9)]
+    monkeypatch.setattr("pipelines.web.casebook.changes_since", lambda _: Digest("then", "now", {"gap": gaps}))
+    app = application(fresh_home, LOCAL, ProxyHeader(fresh_home, HEADER, [ip_network("127.0.0.1")]))
+    text = Client(app, {HEADER: "Eng"}).get("/").text
+    line, _, opened = text.partition("<details><summary>Data gaps: ")[2].partition("</summary>")
+    assert line == ", ".join(f"AAA T-{n}" for n in range(9))
+    assert opened.count("<li><b>AAA T-") == 9
 
 
 def test_a_viewer_looks_and_changes_nothing(page, home):
