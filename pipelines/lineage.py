@@ -144,7 +144,7 @@ STAGES = (
         batch_factor=1,
     ),
     declare_stage(
-        "legs", "legs", "legs_samples", "legs_verdicts", parents=("raw_flights",), code="3", fresh="legs_verdicts",
+        "legs", "legs", "legs_samples", "legs_verdicts", parents=("raw_flights",), code="4", fresh="legs_verdicts",
     ),
     declare_stage(
         "calibration", "calibration",

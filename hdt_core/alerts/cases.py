@@ -11,6 +11,7 @@ import numpy as np
 from hdt_core.alerts.grid import Grid
 from hdt_core.components.compressor import CC
 from hdt_core.components.exchanger import HX
+from hdt_core.flight.legs import DOOR_STILL
 from hdt_core.health.detection import Array
 
 REPAIR = ("REPLACED", "CLEANED", "ADJUSTED")
@@ -53,7 +54,7 @@ class Limits:
     lost_share : float
         Share of empty readings; a sound sensor loses 1 %.
     still_span : float
-        Travel of a door from climb to descent below which it does not follow: seven sigma of its position sensor.
+        Travel of a door from climb to descent below which it does not follow, as in the leg filter.
     peg_k : float
         Outlet above its target while the door rests, not open, at its widest: four sigma of a sound flight.
     wear_persistence, clog_persistence, margin_persistence, compressor_persistence : Persistence
@@ -76,7 +77,7 @@ class Limits:
     compressor_excess: float = 1.2
     compressor_keep: float = 0.7
     lost_share: float = 0.2
-    still_span: float = 0.035
+    still_span: float = DOOR_STILL
     peg_k: float = 1.3
     wear_persistence: Persistence = (3, 4, 15)
     clog_persistence: Persistence = (1, 1, 30)

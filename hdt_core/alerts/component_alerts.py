@@ -24,8 +24,6 @@ TRENDS = ("sd", "status", "slope_10_per_flight", "slope_30_per_flight", "slope_1
 """Columns of the loss beside its value, each prefixed with the loss's name."""
 HIGH_SEVERITY_SHARE = 0.8
 """Loss from which severity is high, as a share of the loss at which the component fails. [-]"""
-SUDDEN_STEP = 0.1
-"""Increase of loss within three flights, beyond the trend, too fast for wear: as for the exchanger. [-]"""
 
 
 def component_features(
@@ -47,7 +45,7 @@ def component_features(
     return columns.select(*KEYS, pl.lit(component.code).alias("component"), loss, *trends)
 
 
-def diagnosis_of(component: Component) -> Diagnosis:
+def diagnosis_of(component: Component, limits: Limits) -> Diagnosis:
     """Return the diagnosis of a worn component, with the texts of its declaration."""
     return Diagnosis(
         code=component.diagnosis,
@@ -56,13 +54,13 @@ def diagnosis_of(component: Component) -> Diagnosis:
         action=component.action,
         ended_by=component.ended_by,
         severity=lambda facts: "high" if facts["loss"] > HIGH_SEVERITY_SHARE * component.limit.mean else "medium",
-        evidence=lambda facts, since: _evidence(component, facts, since),
+        evidence=lambda facts, since: _evidence(component, limits, facts, since),
         features=("loss", "loss_sd", "loss_slope_30_per_flight", "loss_step_3"),
     )
 
 
 def raise_component_alerts(
-    features: pl.DataFrame, maintenance: pl.DataFrame, component: Component, limits: Limits | None = None
+    features: pl.DataFrame, maintenance: pl.DataFrame, component: Component, limits: Limits
 ) -> pl.DataFrame:
     """Raise the alerts of one component, one row a case, in the columns of the catalog's `alerts`.
 
@@ -76,8 +74,8 @@ def raise_component_alerts(
     own = features.filter(pl.col("component") == component.code)
     if own.is_empty():
         return pl.DataFrame(schema=SCHEMA)
-    grid, diagnosis = Grid.from_frame(own), diagnosis_of(component)
-    cases = _wear_cases(grid, maintenance, component, limits or Limits())
+    grid, diagnosis = Grid.from_frame(own), diagnosis_of(component, limits)
+    cases = _wear_cases(grid, maintenance, component, limits)
     cases = close_after_work(grid, maintenance, cases, [diagnosis])
     return alert_rows(grid, maintenance, cases, {diagnosis.code: diagnosis})
 
@@ -101,12 +99,12 @@ def _first_flagged(sure: np.ndarray, first: int) -> int:
     return int(max(first - 3, 0) + recent[0]) if recent.size else first
 
 
-def _evidence(component: Component, facts: Facts, since: str) -> Evidence:
+def _evidence(component: Component, limits: Limits, facts: Facts, since: str) -> Evidence:
     """Return the evidence of wear, with the texts of the component's declaration."""
     loss, sd, slope = facts["loss"], facts["loss_sd"], facts["loss_slope_30_per_flight"]
     lost, name = component.lost, component.loss
     finding = loss_finding(phrases.UNIT_LOST, loss, sd, component.warn_loss, since, lost=lost, name=name)
     fails = phrases.UNIT_FAILS.format(loss=within(component.limit.mean, component.limit.unit_sd))
     near = Corroboration(SUPPORTS if loss > HIGH_SEVERITY_SHARE * component.limit.mean else NEUTRAL, fails)
-    sudden = graded(facts["loss_step_3"], (SUDDEN_STEP, NEUTRAL, phrases.UNIT_STEP))
+    sudden = graded(facts["loss_step_3"], (limits.clog, NEUTRAL, phrases.UNIT_STEP))
     return Evidence("; ".join([finding, *trend(slope)]), (near, *sudden), component.otherwise, component.waiting)

@@ -23,7 +23,7 @@ MODEL_SIGNALS = (
 MIN_NOMINAL = 2  # samples of steady cruise that a leg must have
 DROPOUT_SHARE, DROPOUT_ROWS = 0.12, 3  # of a signal's values missing in a leg that has the sensor
 RUNNING_KG_S = 0.2  # flow below which a pack is off
-DOOR_STILL, DOOR_STILL_ROWS, DOOR_STILL_RISE_M = 0.03, 8, 4_000.0  # a door still through a climb is jammed
+DOOR_STILL, DOOR_STILL_ROWS, DOOR_STILL_RISE_M = 0.035, 8, 4_000.0  # a door still through a climb is jammed
 ICING_TAT_K = (268.15, 283.15)  # -5 to +10 degC: water may be supercooled and freeze on the core
 ICING_BELOW_M = 6_700.0  # 22,000 ft: icing clouds
 

@@ -6,6 +6,7 @@ import pytest
 from one_pack import FLIGHTS, departure, grid, work, work_before
 from scipy.stats import norm
 
+from hdt_core.alerts.cases import Limits
 from hdt_core.alerts.component_alerts import component_features, diagnosis_of, raise_component_alerts
 from hdt_core.components import components
 
@@ -21,7 +22,7 @@ def described(loss: object, **more: object) -> pl.DataFrame:
 
 
 def alerts(loss: object, log: pl.DataFrame = NOTHING, **more: object) -> pl.DataFrame:
-    return raise_component_alerts(described(loss, **more), log, UNIT)
+    return raise_component_alerts(described(loss, **more), log, UNIT, Limits())
 
 
 @pytest.mark.parametrize(("odds", "raised"), [(0.701, 1), (0.699, 0)])
@@ -46,13 +47,14 @@ def test_work_ends_it_and_no_rows_raise_nothing():
     cases = alerts(2.0 * WARN, work_before(50, UNIT.code, UNIT.ended_by[0]))
     assert cases["closed_at"].to_list() == [departure(50), None]
     assert cases["raised_flight_id"].to_list() == ["F002", "F052"]
-    assert raise_component_alerts(described(0.0).with_columns(component=pl.lit("OTHER")), NOTHING, UNIT).height == 0
+    others = described(0.0).with_columns(component=pl.lit("OTHER"))
+    assert raise_component_alerts(others, NOTHING, UNIT, Limits()).height == 0
     early = alerts(np.where(FLIGHT < 3, 2.0 * WARN, 0.0))
     assert "since F000" in early["evidence"][0]
 
 
 def test_severity_and_evidence_in_figures():
-    diagnosis = diagnosis_of(UNIT)
+    diagnosis = diagnosis_of(UNIT, Limits())
     for loss, severity in ((0.79 * FAILS, "medium"), (0.81 * FAILS, "high")):
         facts = {"loss": loss, "loss_sd": 0.01, "loss_slope_30_per_flight": 0.0021, "loss_step_3": 0.101}
         assert diagnosis.severity(facts) == severity

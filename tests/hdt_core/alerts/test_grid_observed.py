@@ -5,6 +5,7 @@ import polars as pl
 import pytest
 from one_pack import alerts, departure, features, work
 
+from hdt_core.alerts.cases import Limits
 from hdt_core.alerts.component_alerts import raise_component_alerts
 from hdt_core.alerts.grid import UNOBSERVED, Grid
 from hdt_core.components import components
@@ -63,7 +64,7 @@ def test_nor_is_that_of_a_declared_component(loss_status, raised):
         component=pl.lit(component.code), loss=pl.lit(3.0 * component.warn_loss), loss_sd=pl.lit(0.01),
         loss_status=pl.lit(loss_status), loss_slope_30_per_flight=pl.lit(0.0), loss_step_3=pl.lit(0.0),
     )  # fmt: skip
-    assert raise_component_alerts(described, NO_WORK, component).height == raised
+    assert raise_component_alerts(described, NO_WORK, component, Limits()).height == raised
 
 
 def test_flags_are_carried_from_the_last_flight_that_was_observed():

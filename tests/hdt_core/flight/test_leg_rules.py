@@ -87,8 +87,8 @@ def test_two_nominal_samples_make_a_leg():
 @pytest.mark.parametrize(
     ("span", "rise_m", "rows", "still"),
     [
-        (0.029, 4100.0, 12, True), (0.031, 4100.0, 12, False), (0.029, 4000.0, 12, False), (0.029, 4100.0, 7, False),
-        (0.029, 4100.0, 8, True),
+        (0.034, 4100.0, 12, True), (0.036, 4100.0, 12, False), (0.034, 4000.0, 12, False), (0.034, 4100.0, 7, False),
+        (0.034, 4100.0, 8, True),
     ],
 )  # fmt: skip
 def test_a_door_that_follows_no_climb_is_jammed(span, rise_m, rows, still):
