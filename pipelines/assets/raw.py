@@ -7,7 +7,7 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.records.unit_index import date_entries
-from hdt_core.tables.raw import RawChecks, RawFleet
+from hdt_core.tables.raw import RawChecks
 from pipelines.assets.stage import stage
 from pipelines.intake.costs import NAME as COSTS_FILE
 from pipelines.intake.costs import costs_or_fault
@@ -16,7 +16,7 @@ from pipelines.intake.findings import CASE, with_findings
 from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile
-from pipelines.intake.logs import read_checks, read_fleet, read_maintenance, read_messages
+from pipelines.intake.logs import or_stored, read_checks, read_fleet, read_maintenance, read_messages
 from pipelines.intake.readers import REPORTS, TYPES, readers
 from pipelines.intake.scan import WITHOUT_FLIGHT
 from pipelines.intake.snapshots import read_snapshots
@@ -31,8 +31,9 @@ from pipelines.storage.store import Store
 def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     """Read the fleet list, checks and costs, and account for files without a flight."""
     landing, ledger, now = Path(home.landing), home.ledger, datetime.now(UTC)
-    lists = [(f, read_fleet(f, now)) for f in landing_files(landing, ledger.files(["fleet"]))]
-    fleet = pl.concat([RawFleet.create_empty(), *(x.rows for _, x in lists)], how="diagonal_relaxed")
+    stored = home.store.read_table("raw_fleet")
+    lists = [(f, or_stored(read_fleet(f, now), stored)) for f in landing_files(landing, ledger.files(["fleet"]))]
+    fleet = lists[0][1].rows if lists else stored  # a missing list removes no aircraft
     checks = [(f, read_checks(f, now)) for f in landing_files(landing, ledger.files(["checks"]))]
     costs, cost_faults = costs_or_fault(Path(home.home))
     without_flight = read_snapshots(landing_files(landing, ledger.files([WITHOUT_FLIGHT])), now)
@@ -40,8 +41,6 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
         "file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0
     )
     quarantines = [list_landing(landing).quarantine, without_flight.quarantine]
-    if not fleet.height:  # a missing or broken list removes no aircraft
-        fleet = home.store.read_table("raw_fleet")
     return (
         fleet,
         pl.concat([accounts, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
@@ -85,14 +84,15 @@ _ROW_COUNTS = pl.col("delivered", "loaded", "quarantined", "duplicate").fill_nul
 def _logs(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, FileIntake]]:
     """Read messages and maintenance, one file an aircraft; packs already stored keep their numbers."""
     files, now = landing_files(Path(home.landing), listing.filter(pl.col("kind") != REPORTS)), datetime.now(UTC)
-    stored = {kind: scope.read_table(home.store, table) for kind, (table, _) in RECORDS.items()}
+    stored = {kind: _stored(kind, scope, home.store) for kind in RECORDS}
     packs = {
         (kind, *row[:2]): row[2] or 0
         for kind, frame in stored.items()
         for row in frame.group_by("operator", "tail").agg(pl.col("pack").max()).rows()
     }
     files = [replace(f, packs_stored=packs.get((f.kind, f.operator, f.tail), 0)) for f in files]
-    return [(f, RECORDS[f.kind][1](f, now)) for f in files]
+    own = [stored[f.kind].filter(operator=f.operator, tail=f.tail) for f in files]
+    return [(f, or_stored(RECORDS[f.kind][1](f, now), rows)) for f, rows in zip(files, own, strict=True)]
 
 
 def _printed(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, FileIntake]]:
@@ -111,11 +111,14 @@ def _records(
 ) -> pl.DataFrame:
     """Return rows of present files, and stored rows of aircraft whose file has left the landing zone."""
     delivered = pl.DataFrame([(f.operator, f.tail) for f, _ in logs], schema=_AIRCRAFT, orient="row")
-    stored = scope.read_table(store, RECORDS[kind][0])
-    stored = stored.join(delivered, on=delivered.columns, how="anti", maintain_order="left")
-    if kind == "maintenance":
-        stored = stored.filter(pl.col("source") != CASE)
+    stored = _stored(kind, scope, store).join(delivered, on=delivered.columns, how="anti", maintain_order="left")
     return pl.concat([stored, *(x.rows for _, x in logs)], how="diagonal")
+
+
+def _stored(kind: str, scope: PartitionScope, store: Store) -> pl.DataFrame:
+    """Read the stored rows of logs, without findings, which come from the case log."""
+    rows = scope.read_table(store, RECORDS[kind][0])
+    return rows.filter(pl.col("source") != CASE) if kind == "maintenance" else rows
 
 
 def case_log_rows(scope: PartitionScope, home: Home) -> pl.DataFrame:

@@ -111,6 +111,14 @@ def _read_log(file: LandingFile, no_rows: pl.DataFrame, parse: Callable[[bytes],
     return FileIntake(rows, file.quarantine(lines.faults), lines.n_delivered, lines.n_duplicate)
 
 
+def or_stored(intake: FileIntake, stored: pl.DataFrame) -> FileIntake:
+    """Return what was read of a log, or the rows `stored` of its earlier version where it has no good row now."""
+    if intake.rows.height:
+        return intake
+    rows = stored.select(intake.rows.columns)
+    return replace(intake, rows=rows, n_delivered=intake.n_delivered + rows.height)
+
+
 def _pack_number(word: str, packs: int) -> int | None:
     """Parse a pack number; None where the field is empty, 0 where it is no pack."""
     if not word:

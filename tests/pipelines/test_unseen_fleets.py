@@ -100,6 +100,8 @@ def out_of_order_and_corrected(landing: Path) -> Deliveries:
     yield
 
 
+RAW = ("raw_snapshots", "raw_messages", "raw_maintenance", "raw_fleet")
+
 SCENARIOS = (
     one_flight_and_nothing_else,
     an_empty_zone_then_papers_then_flights,
@@ -134,17 +136,25 @@ def test_every_night_is_sound_and_ends_where_one_night_would(
 
 def test_a_file_that_comes_again_broken_takes_nothing_away(sample_home, tmp_path):
     landing, home = tmp_path / "landing", tmp_path / "home"
-    simulated(15, 3, operator="QQX", tail="Z9").drop_csv(landing)
+    zone = simulated(15, 3, operator="QQX", tail="Z9")
+    drop_fleet(landing, [zone])
+    zone.drop_csv(landing)
+    last = max(landing.glob("*/*/acms/*.csv"))
+    messages, work = (zone.folder(landing) / f"{name}.csv" for name in ("messages", "maintenance"))
+    messages.write_text(f"message_time,flight_id,pack,code,text\n2024-03-04T09:00:00Z,{last.stem},1,21-52-HXTEMP,\n")
+    work.write_text("done_on,pack,component,action,finding,reference\n2024-03-05,1,HX,CLEANED,FOULED,\n")
     keep_base(sample_home, home)
     run(landing, home)
-    whole, last = fingerprint(home), max(landing.glob("*/*/acms/*.csv"))
-    content = last.read_bytes()
-    for broken in (b"", content[:40], b"\0" * 100):
-        last.write_bytes(broken)
+    whole = fingerprint(home)
+    contents = {file: file.read_bytes() for file in (last, messages, work, landing / "fleet.csv")}
+    for broken in (slice(0), slice(40), None):
+        for file, content in contents.items():
+            file.write_bytes(b"\0" * 100 if broken is None else content[broken])
         assert run(landing, home).failed == {}
         assert faults(home, landing) == []
-        assert fingerprint(home)["raw_snapshots"] == whole["raw_snapshots"]
-    last.write_bytes(content)
+        assert {t: fingerprint(home)[t] for t in RAW} == {t: whole[t] for t in RAW}
+    for file, content in contents.items():
+        file.write_bytes(content)
     run(landing, home)
     assert fingerprint(home) == whole
 
