@@ -7,6 +7,7 @@ always runs.
 
 import hashlib
 import json
+import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,12 +26,14 @@ class Group:
     """Tests (node ids or their beginnings up to `/`, `::` or `[`) and files or folders that they guard."""
 
     name: str
-    tests: tuple[str, ...]
+    tests: frozenset[str]
     sources: tuple[str, ...]
 
     def holds(self, test: str) -> bool:
         """Whether a node id is one of the group's."""
-        return any(test == t or test.startswith((f"{t}/", f"{t}::", f"{t}[")) for t in self.tests)
+        file, _, name = test.partition("::")
+        folders = (file[: m.start()] for m in re.finditer("/", file))
+        return not {test, f"{file}::{name.partition('[')[0]}", file, *folders}.isdisjoint(self.tests)
 
     def digest(self) -> str:
         """Hash of its sources and tests."""
@@ -51,7 +54,7 @@ def _files(place: Path) -> Iterator[Path]:
 def groups() -> list[Group]:
     """As listed."""
     listed = tomllib.loads((ROOT / "tests/long.toml").read_text(encoding="utf-8"))
-    return [Group(name, tuple(g["tests"]), tuple(g["sources"])) for name, g in listed.items()]
+    return [Group(name, frozenset(g["tests"]), tuple(g["sources"])) for name, g in listed.items()]
 
 
 def passed() -> dict[str, str]:
@@ -73,6 +76,11 @@ class LongTests:
     def wants(self, test: str) -> bool:
         """Whether a test is part of the run."""
         return any(g.holds(test) for g in self.chosen) if self.long else not any(g.holds(test) for g in self.every)
+
+    def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
+        """Import no file all of whose tests are long: seconds of libraries that no other test needs."""
+        place = collection_path.relative_to(ROOT).as_posix()
+        return True if not self.long and any(g.holds(place) for g in self.every) else None
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
