@@ -44,13 +44,15 @@ STORED = (
     "fleet_ranking", "component_ranking", "next_stop",
 )  # fmt: skip
 """Views whose rows are stored when the catalog is published: a row a unit or alert, and none depends on the hour."""
+_ANOTHER_PLACE = "it was made for another place"
 _BY_VARIABLE = "coalesce(getvariable('tables_folder'), {published})"
 
 
 def publish(home: Path) -> Path:
     """Bring `<home>/catalog.duckdb` up to date. Readers of the old file keep it; there is no lock between them.
 
-    The last catalog's views are copied where it is whole and of this version; only the files they read are new.
+    The last catalog's views are copied where it is whole and of this version, also in a home that was moved; only the
+    files they read are new.
 
     Raises
     ------
@@ -58,7 +60,7 @@ def publish(home: Path) -> Path:
         A file that a view reads is not what was written, and DuckDB can't open it.
     """
     store, path = Store(home.resolve()), home.resolve() / CATALOG
-    reuse = _is_as_published(path) and find_catalog_fault(home) is None
+    reuse = _is_as_published(path) and find_catalog_fault(home) in (None, _ANOTHER_PLACE)
     with replacing(path) as temporary:
         if reuse:
             shutil.copyfile(path, temporary)
@@ -67,7 +69,7 @@ def publish(home: Path) -> Path:
             store.allow_reads(con)
             con.execute("set TimeZone = 'UTC'")  # as readers have it
             con.begin()  # a commit for every comment would take longer than all the rest
-            changed = update_files(con, tables) if reuse else create_views(con, store, tables, STORED)
+            changed = update_files(con, store, tables) if reuse else create_views(con, store, tables, STORED)
             if changed:
                 _store_rows(con, store, tables, changed)
             con.commit()
@@ -130,11 +132,9 @@ def create_views(
     The views of `stored` read the rows that `_store_rows` stores.
     """
     con.execute("create schema tables")
-    con.execute(f"create macro tables.folder() as {_folder(store)}")
-    con.execute(f"create macro tables.made_as() as {quote(_recipe_hash(store))}")
     con.execute("create table tables.files (path varchar)")
     con.execute("comment on column tables.files.path is 'a file that the views read, below the tables'' folder'")
-    changed = update_files(con, tables)
+    changed = update_files(con, store, tables)
     of_components = " where component in (select component from tables.components where recorded)"
     for former, table in (FORMER_NAMES | FORMER_COMPONENT_TABLES).items():
         rows = of_components if former in FORMER_COMPONENT_TABLES else ""
@@ -144,8 +144,11 @@ def create_views(
     return changed
 
 
-def update_files(con: duckdb.DuckDBPyConnection, tables: Tables) -> set[str]:
-    """Update the list of files, and the view of each table whose files have changed; return those tables."""
+def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables) -> set[str]:
+    """Update where the tables lie, their files, and the view of each table whose files have changed; return those."""
+    macros = {"folder": _folder(store), "made_for": quote(_place_hash(store)), "made_as": quote(_recipe_hash())}
+    for name, value in macros.items():
+        con.execute(f"create or replace macro tables.{name}() as {value}")
     old: dict[str, list[str]] = {}
     for (path,) in con.execute("select path from tables.files order by path").fetchall():
         old.setdefault(path.split("/")[0], []).append(path)
@@ -184,24 +187,30 @@ def find_catalog_fault(home: Path) -> str | None:
         return "it was missing"
     try:
         with open_catalog(home) as con:
-            ((recipe_hash,),) = con.execute("select tables.made_as()").fetchall()
+            ((recipe_hash, place_hash),) = con.execute("select tables.made_as(), tables.made_for()").fetchall()
             con.execute("select max(path) from tables.files").fetchall()
             present = {v for (v,) in con.execute("select view_name from duckdb_views() where not internal").fetchall()}
     except duckdb.Error as error:
         return f"it could not be read ({message_of(error)})"
-    if recipe_hash != _recipe_hash(Store(home.resolve())):
-        return "it was made for another place or by another version"
-    return "it lacked views" if {*views(), *TABLES} - present else None
+    if recipe_hash != _recipe_hash():
+        return "it was made by another version"
+    if {*views(), *TABLES} - present:
+        return "it lacked views"
+    return None if place_hash == _place_hash(Store(home.resolve())) else _ANOTHER_PLACE
 
 
-def _recipe_hash(store: Store) -> str:
-    """Hash all that determines a catalog but its files: place, views, columns and their meanings."""
+def _place_hash(store: Store) -> str:
+    return hash_of(_folder(store).encode())
+
+
+def _recipe_hash() -> str:
+    """Hash all that determines a catalog but its files and place: views, columns and their meanings."""
     columns = [
         f"{table}.{name} {column.dtype} {MEANINGS[table][name]}"
         for table, t in TABLES.items()
         for name, column in t.schema.columns().items()
     ]
-    texts = [_folder(store), *STORED, *(sql for _, sql in sorted(views().items())), *columns]
+    texts = [*STORED, *(sql for _, sql in sorted(views().items())), *columns]
     return hash_of("\n".join(texts).encode())
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from nights import empty_home
 
 from hdt_core.tables import TABLES
 from pipelines.storage.catalog import connect
@@ -33,8 +34,9 @@ def snapshots_of(con) -> int:
 def four(tmp_path_factory) -> Path:
     """Four nights, each of which counts one snapshot more of one flight. Read only."""
     home = tmp_path_factory.mktemp("four")
+    store = empty_home(home)
     for n in range(NIGHTS):
-        Store(home).merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(n))
+        store.merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(n))
         publish(home)
     return home
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from nights import empty_home
 from small_catalog import catalog
 from typer.testing import CliRunner
 
@@ -21,7 +22,7 @@ from pipelines.report.page import page
 from pipelines.report.words import URGENCY
 from pipelines.storage.catalog import connect
 from pipelines.storage.publication import publish
-from pipelines.storage.store import FLEET, Store
+from pipelines.storage.store import FLEET
 
 BADGE = r"(T-\d) pack (\d) \(\w+\)\s+AAA.*?\s(Act now|Plan|No action)\s"
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
@@ -69,7 +70,7 @@ def tables(tail: str) -> dict[str, list[dict]]:
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     where = tmp_path_factory.mktemp("home")
-    store, outlook = Store(where), []
+    store, outlook = empty_home(where), []
     for tail in ("T-1", "T-2"):
         for name, rows in tables(tail).items():
             if name == "prognoses":

@@ -6,6 +6,7 @@ from pathlib import Path
 import duckdb
 import polars as pl
 import pytest
+from nights import empty_home
 from small_catalog import catalog
 from spoils import column, field
 
@@ -66,7 +67,7 @@ def read(home: Path) -> duckdb.DuckDBPyConnection:
 @pytest.fixture
 def zone(tmp_path) -> tuple[Path, Path]:
     (tmp_path / "landing").mkdir()
-    return tmp_path / "landing", tmp_path / "home"
+    return tmp_path / "landing", empty_home(tmp_path / "home").home
 
 
 def test_a_column_refused_wholesale_is_told_with_since_when_and_its_likely_unit(zone):

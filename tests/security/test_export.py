@@ -18,7 +18,7 @@ from command import hdt
 from hostile import FORMULA
 from hypothesis import given
 from hypothesis import strategies as st
-from nights import once
+from nights import empty_home, once
 
 from hdt_core.tables import TABLES
 from pipelines.sharing import FORMATS, MANIFEST, AccessScope, access_scope, export, safe
@@ -39,7 +39,7 @@ def home(sample_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _name_both(sample_home: Path, home: Path) -> None:
-    store = Store(home)
+    store = empty_home(home)
     for table in tables_read():
         _take_first(Store(sample_home), store, table)
     for own, other in ((OWN, OTHER), (OTHER, OWN)):

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import polars as pl
+from nights import empty_home
 from small_catalog import OWN, alert, flight, fouling
 
 from hdt_core.components import component_rows
@@ -17,6 +18,7 @@ def case_home(home: Path) -> Path:
     theirs = {"operator": "BBB", "tail": "T-9"}
     alerts = [_alert("wear", 30), _alert("clog", 50), _alert("gone", 5, 20), _alert("other", 59) | theirs]
     flown = [*flights, flight(59, tail="T-9", operator="BBB")]
+    empty_home(home)
     return publish_losses(home, 0.2, raw_flights=flown, features_alerts=alerts, components=component_rows())
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import polars as pl
+from nights import empty_home
 
 from hdt_core.components import component_rows
 from pipelines.storage.publication import publish
@@ -40,7 +41,7 @@ class Night(NamedTuple):
 
 def publish_night(home: Path, night: Night) -> None:
     """Store it as a night would, and publish."""
-    store, own = Store(home), [("AAA", "T-1")]
+    store, own = Store(home) if home.exists() else empty_home(home), [("AAA", "T-1")]
     low, middle, high = night.outlook
     fields = {"pack": 1, "component": "HX", "model_version": "m", "split": "live", "p_event_50": 0.2}
     outlook = [

@@ -1,9 +1,12 @@
 """A night as the command runs it, without bars."""
 
+import atexit
 import fcntl
 import shutil
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,6 +16,7 @@ from pipelines.orchestration.around_night import lock_home
 from pipelines.orchestration.nightly import Night, run_night
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import publish
+from pipelines.storage.store import Store
 
 
 class Silent:
@@ -47,6 +51,19 @@ def keep_base(source: Path, home: Path) -> None:
     target.parent.mkdir(parents=True)
     shutil.copytree(source / "tables/prognosis_base", target)
     Ledger(home).mark("prognosis_base", Ledger(source).cells("prognosis_base"))
+
+
+@cache
+def _published() -> Path:
+    folder = tempfile.TemporaryDirectory(prefix="published-")
+    atexit.register(folder.cleanup)
+    return publish(Path(folder.name)).parent
+
+
+def empty_home(home: Path) -> Store:
+    """Tables without a row and their catalog, of no night on record: a copy, for to make them takes two seconds."""
+    shutil.copytree(_published(), home, dirs_exist_ok=True, ignore=shutil.ignore_patterns("ledger*"))
+    return Store(home)
 
 
 def once(tmp_path_factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
