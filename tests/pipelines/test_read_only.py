@@ -78,12 +78,6 @@ def test_what_only_looks_leaves_no_trace(own_home, tmp_path, command):
     assert tree(home) == before
 
 
-def test_a_dry_run_makes_no_home(own_home, tmp_path):
-    landing, _ = own_home
-    assert hdt(*words_of("nightly", landing, tmp_path / "none", tmp_path)).returncode == 0
-    assert not (tmp_path / "none").exists()
-
-
 def test_a_ledger_that_a_writer_was_killed_at_is_read_whole(own_home):
     """Its last commit is in the log beside it."""
     _, home = own_home

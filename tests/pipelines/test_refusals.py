@@ -8,6 +8,7 @@ import polars as pl
 import pytest
 from nights import empty_home
 from small_catalog import catalog
+from soundness import faults
 from spoils import column, field
 
 from pipelines.cli.base import app
@@ -182,3 +183,4 @@ def test_the_terminal_says_what_the_night_did_not_take(zone, capfd):
     stderr = capfd.readouterr().err
     assert "silent: AQX LX-AAA: mach refused in 100 %" in stderr
     assert "not read: AQX/odd.txt" in stderr
+    assert faults(home, landing) == []
