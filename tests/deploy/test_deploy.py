@@ -1,6 +1,7 @@
 """What can be checked of the container files without an engine: names, commands and settings that fit together."""
 
 import importlib
+import pkgutil
 import re
 import shutil
 from pathlib import Path
@@ -9,11 +10,6 @@ from urllib.parse import urlsplit
 import pytest
 import typer
 import yaml
-from celery.bin.celery import celery
-from dagster._cli import create_dagster_cli
-from dagster._core.instance.config import dagster_instance_config
-from dagster._daemon.cli import create_dagster_daemon_cli
-from dagster_webserver.cli import create_dagster_webserver_cli
 
 from pipelines.cli import app
 
@@ -21,8 +17,11 @@ ROOT = Path(__file__).parents[2]
 COMPOSE = yaml.safe_load((ROOT / "compose.yaml").read_text())
 SERVICES = COMPOSE["services"]
 OURS = {name: s for name, s in SERVICES.items() if "build" in s}
-COMMANDS = {"dagster-webserver": create_dagster_webserver_cli, "dagster-daemon": create_dagster_daemon_cli,
-            "dagster": create_dagster_cli, "hdt": lambda: typer.main.get_command(app)}  # fmt: skip
+COMMANDS = {  # by name: to load them takes three seconds
+    "dagster-webserver": "dagster_webserver.cli:create_dagster_webserver_cli",
+    "dagster-daemon": "dagster._daemon.cli:create_dagster_daemon_cli",
+    "dagster": "dagster._cli:create_dagster_cli",
+}
 ARGUMENTS = {
     "webserver": {"listen": "0.0.0.0", "read_only": False},
     "daemon": {"module_name": ("pipelines.definitions",)},
@@ -33,7 +32,7 @@ ARGUMENTS = {
 @pytest.mark.parametrize("name", sorted(set(OURS) - {"worker"}))
 def test_a_service_starts_a_command_that_takes_what_it_is_given(name):
     program, *words = OURS[name]["entrypoint"]
-    command = COMMANDS[program]()
+    command = typer.main.get_command(app) if program == "hdt" else pkgutil.resolve_name(COMMANDS[program])()
     if hasattr(command, "commands") and words[0] in command.commands:
         command = command.commands[words.pop(0)]
     params = command.make_context(program, list(words)).params
@@ -44,7 +43,8 @@ def test_workers_start_what_runs_dagsters_tasks_and_settings_send_them_there(mon
     """The command as Celery reads it, and the service's own broker in the address that the settings name."""
     monkeypatch.setenv("HDT_BROKER_URL", "memory://")
     program, of, module, worker, flag, runs_at_once = OURS["worker"]["entrypoint"]
-    options = {o for p in celery.commands[worker].params for o in p.opts}
+    commands = pkgutil.resolve_name("celery.bin.celery:celery").commands
+    options = {o for p in commands[worker].params for o in p.opts}
     assert (program, of, flag in options, runs_at_once.isdigit()) == ("celery", "--app", True, True)
     tasks = importlib.import_module(module).app.tasks
     assert any(task.endswith("execute_job") for task in tasks), sorted(tasks)
@@ -77,7 +77,7 @@ def test_dagster_takes_the_settings_and_finds_its_classes_and_variables(name, tm
     assert name != "dagster.yaml" or all(variables <= set(s["environment"]) for s in OURS.values())
     for variable in variables:
         monkeypatch.setenv(variable, "postgresql://nobody@127.0.0.1:1/none")
-    settings, _ = dagster_instance_config(str(tmp_path))
+    settings, _ = pkgutil.resolve_name("dagster._core.instance.config:dagster_instance_config")(str(tmp_path))
     assert settings["telemetry"] == {"enabled": False}
     named = [s for s in settings.values() if isinstance(s, dict) and "class" in s]
     assert len(named) >= 4

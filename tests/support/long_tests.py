@@ -11,6 +11,7 @@ import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -31,9 +32,7 @@ class Group:
 
     def holds(self, test: str) -> bool:
         """Whether a node id is one of the group's."""
-        file, _, name = test.partition("::")
-        folders = (file[: m.start()] for m in re.finditer("/", file))
-        return not {test, f"{file}::{name.partition('[')[0]}", file, *folders}.isdisjoint(self.tests)
+        return not _beginnings(test).isdisjoint(self.tests)
 
     def digest(self) -> str:
         """Hash of its sources and tests."""
@@ -42,6 +41,14 @@ class Group:
             for file in _files(ROOT / place):
                 total.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes())
         return total.hexdigest()[:16]
+
+
+@lru_cache(maxsize=1)
+def _beginnings(test: str) -> frozenset[str]:
+    """Names of a test, its file and folders by which a group may list it."""
+    file, _, name = test.partition("::")
+    folders = (file[: m.start()] for m in re.finditer("/", file))
+    return frozenset({test, f"{file}::{name.partition('[')[0]}", file, *folders})
 
 
 def _files(place: Path) -> Iterator[Path]:

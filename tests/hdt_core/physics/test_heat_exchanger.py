@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from CoolProp import CoolProp
+from coolprop import PropsSI
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -71,7 +71,7 @@ def test_films_gain_as_the_properties_of_air():
     """k^0.67 mu^-0.27 from CoolProp's properties, against the power law, over what a pack sees."""
 
     def film(temperature_k):
-        conductivity, viscosity = (CoolProp.PropsSI(key, "T", temperature_k, "P", 1e5, "Air") for key in "LV")
+        conductivity, viscosity = (PropsSI(key, "T", temperature_k, "P", 1e5, "Air") for key in "LV")
         return conductivity**0.67 * viscosity**-0.27
 
     for hot_in_k, cold_in_k in [(340.0, 230.0), (390.0, 250.0), (440.0, 290.0)]:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from CoolProp.CoolProp import PropsSI
+from coolprop import PropsSI
 from scipy.interpolate import CubicSpline
 
 from hdt_core.physics.effectiveness import crossflow_effectiveness

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from CoolProp.CoolProp import PropsSI
+from coolprop import PropsSI
 
 from hdt_core.physics.terms import TERMS, correct_signals, record_signals, saturation_pressure_pa, within
 
