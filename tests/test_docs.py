@@ -110,10 +110,26 @@ def site(target: Path) -> Path:
 
 def test_the_site_is_whole_and_asks_nothing_of_the_network(tmp_path):
     """`--strict`: no page, link or anchor may be missing."""
-    pages = {p: p.read_text(encoding="utf-8") for p in site(tmp_path).rglob("*.html")}
+    pages = list(site(tmp_path).rglob("*.html"))
     assert len(pages) > 15
-    fetched = r"<(?:script|link|img|iframe|source)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^\"' >]+"
-    assert {p.name: links for p, text in pages.items() if (links := re.findall(fetched, text))} == {}
+    assert fetched(pages, FETCHED) == {}
+
+
+FETCHED = r"<(?:script|link|img|iframe|source)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^\"' >]+"
+
+
+def fetched(pages: list[Path], pattern: str) -> dict[str, list[str]]:
+    """What pages have a reader fetch from elsewhere."""
+    return {p.name: links for p in pages if (links := re.findall(pattern, p.read_text(encoding="utf-8")))}
+
+
+def test_no_page_is_written_to_fetch_from_elsewhere():
+    """What the site adds to the pages is seen where it is built, in the long tests; its theme's fonts are the browser's."""
+    assert (
+        fetched([*PAGES, *(ROOT / "docs").glob("*.css")], rf"{FETCHED}|!\[[^\]]*\]\(https?:|url\([\"']?http|@import")
+        == {}
+    )
+    assert "  font: false\n" in (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
 
 
 def test_links_of_the_readme_hold_on_a_forge():
