@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -89,11 +89,14 @@ def reopen(
     _change(home, alert, "reopen", by, note=note)
 
 
+State = Literal["new", "acknowledged", "muted", "worsened", "confirmed", "answered", "closed"]
+
+
 @case.command("list")
 def list_(
     home: HomeDir = None,
     every: Annotated[bool, typer.Option("--all", help="Include closed cases.")] = False,
-    state: Annotated[str | None, typer.Option(help="Only those in this state.")] = None,
+    state: Annotated[State | None, typer.Option(help="Only those in this state.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """List the open cases, the most urgent first."""
@@ -109,7 +112,8 @@ def list_(
     for name in ("alert", "unit", "diagnosis", "severity", "state", "owner"):
         table.add_column(name, no_wrap=name not in {"unit", "diagnosis", "state", "owner"})
     for r in rows:
-        labels = (words.unit_name(r), words.diagnosis(r["diagnosis"]), r["severity"], _state(r), r["owner"] or "")
+        unit = f"{r['operator']} {words.unit_name(r)}"
+        labels = (unit, words.diagnosis(r["diagnosis"]), r["severity"], _state(r), r["owner"] or "")
         table.add_row(r["alert_id"][:8], *labels)
     out.print(table, soft_wrap=False)
 

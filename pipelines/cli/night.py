@@ -104,6 +104,8 @@ def backfill(
         raise StopError(f"no operator {operator} in {where}")
     if tail and not (is_tail(tail) and any(where.glob(f"*/{tail}"))):
         raise StopError(f"no aircraft {tail} in {where}")
+    if since and until and since > until:
+        raise StopError(f"--since {since:%Y-%m-%d} is after --until {until:%Y-%m-%d}; exchange them")
     day = pl.col("flight_id").str.extract(r"_(\d{8})_\d+$")
     conditions = [pl.col(column) == name for column, name in (("operator", operator), ("tail", tail)) if name]
     conditions += [(day >= f"{since:%Y%m%d}").fill_null(True)] if since else []

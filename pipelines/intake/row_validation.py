@@ -131,6 +131,7 @@ def _row_faults(
         slip_columns, sentence = row.pop("_column_name"), row.pop("_sentence")
         column = _COLUMN_OF.get(reason, slip_columns) or None
         value = row.get(column) if column else None
+        value = f"{value:g}" if isinstance(value, float) else value
         detail = sentence or (f"Found {str(value)[:60]!r}." if value is not None else "")
         flight = None if reason in NO_FLIGHT else row["flight_id"]
         content = None if files[i].is_text else _as_text(row)  # of text the caller adds the delivered line

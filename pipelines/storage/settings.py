@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
-from datetime import date, datetime
+from datetime import datetime
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -134,15 +134,23 @@ def retention(home: Path) -> Retention:
     days, nights = values.get("keep_days", 30), values.get("hold", [])
     if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= MAX_DAYS:
         raise StoreError(f"{file}: keep_days is {days!r:.40} and ought to be a whole number from 1 to {MAX_DAYS}")
-    nights = [str(n) if isinstance(n, date) else n for n in nights] if isinstance(nights, list) else nights
-    if not isinstance(nights, list) or not all(map(_is_night, nights)):
+    prefixes = [night_prefix(str(n)) for n in nights] if isinstance(nights, list) else [None]
+    if None in prefixes:
         raise StoreError(f"{file}: hold is {nights!r:.80} and ought to be a list of nights such as '2024-03-01'")
-    return Retention(days, tuple(nights))
+    return Retention(days, tuple(p for p in prefixes if p))
 
 
-def _is_night(text: object) -> bool:
-    """Return whether a text is a date, or a time, as `hdt query --as-of` takes them."""
+def night_prefix(text: str) -> str | None:
+    """Return a date or time in UTC, or the first part of one, as nights are named; None where it is none.
+
+    Examples
+    --------
+    >>> night_prefix("2024-03-01 02:00Z"), night_prefix("2024-03-01T02:00+02:00"), night_prefix("01.03.2024")
+    ('2024-03-01T02:00', None, None)
+    """
+    prefix = text.replace(" ", "T").removesuffix("Z").removesuffix("+00:00")
     try:
-        return isinstance(text, str) and datetime.fromisoformat(text) is not None
+        moment = datetime.fromisoformat(prefix + "2024-01-01T00:00"[len(prefix) :])
     except ValueError:
-        return False
+        return None
+    return prefix if len(prefix) >= len("2024") and moment.tzinfo is None else None

@@ -16,7 +16,7 @@ from pipelines.storage.delta import QUIET
 from pipelines.storage.files import LOG
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
-from pipelines.storage.settings import Retention, retention
+from pipelines.storage.settings import Retention, night_prefix, retention
 from pipelines.storage.store import Store
 
 MARKER = ".upkeep"
@@ -71,8 +71,11 @@ def _checkpoint(store: Store, table: str) -> int:
 
 
 def find_night(nights: dict[str, dict[str, int]], night: str) -> tuple[str, dict[str, int]]:
-    """Find the last night at or before a date or time, and its versions of the tables."""
-    earlier = [name for name in nights if name[: len(night)] <= night]
+    """Find the last night at or before a date or time, or the first part of one, and its versions of the tables."""
+    prefix = night_prefix(night)
+    if prefix is None:
+        raise StoreError(f"give a day (2024-06-19) or a time in UTC (2024-06-19T04:30), not {night}")
+    earlier = [name for name in nights if name[: len(prefix)] <= prefix]
     if not earlier:
         first = f"the first on record is {min(nights)}" if nights else "none is on record"
         raise StoreError(f"no night at or before {night!r}; {first}")

@@ -70,8 +70,15 @@ def test_before_the_first_night_nothing_was_said(four):
 
 def test_the_last_night_by_a_day_or_an_hour_is_meant():
     nights = {name: {} for name in ("2024-03-01T02:00:00", "2024-03-01T23:00:00", "2024-03-03T02:00:00")}
-    for day, meant in (("2024-03-01", 1), ("2024-03-02", 1), ("2024-03-01T02", 0), ("2025", 2), ("2024-03-03", 2)):
+    for day, meant in (("2024-03-01", 1), ("2024-03-02", 1), ("2024-03-01T02", 0), ("2025", 2), ("2024-03-03", 2),
+                       ("2024-03-01 23:30", 1), ("2024-03-01T23:00:00+00:00", 1)):  # fmt: skip
         assert find_night(nights, day)[0] == list(nights)[meant]
+
+
+@pytest.mark.parametrize("text", ["yesterday", "26.06.2024", "06/26/2024", "2024-6-1", "2024-03-01T02:00+02:00", ""])
+def test_what_is_no_day_and_no_time_in_utc_finds_no_night(text):
+    with pytest.raises(StoreError, match="give a day"):
+        find_night({"2001-01-01T02:00:00": {}}, text)
 
 
 def test_what_is_beyond_its_time_goes_and_what_is_held_stays(home):

@@ -45,6 +45,8 @@ def test_every_command_has_help(command):
         (("backfill", "--landing", "data_samples", "--home", "/tmp/x", "--operator", "ZZZ"), "no operator ZZZ"),
         (("backfill", "--landing", "data_samples", "--home", "/tmp/x", "--tail", "../.."), "no aircraft ../.."),
         (("nigthly",), "nightly"),
+        (("backfill", "--landing", "data_samples", "--since", "2024-07-01", "--until", "2024-06-01"), "exchange them"),
+        (("case", "list", "--state", "opne"), "'acknowledged'"),
     ],
 )
 def test_a_wrong_argument_gives_one_line_that_says_what_to_do(words, message):
