@@ -93,7 +93,7 @@ def follow(method: Estimator, pack: Pack) -> Result:
     dsm, _ = calibrate_component(component.model, first, method)
     losses = [p.name for p in component.model.free("health")]
     estimates = flight_by_flight(pack.samples, dsm, losses, estimator=method)
-    health = track_component(estimates, component, pack.log, design_offset(pack.samples, dsm, component))
+    health = track_component(estimates, component, pack.log, design_offset(pack.samples, dsm, component)).health
     seconds = time.process_time() - started
     return _compared(health, pack, seconds / flights.height)
 

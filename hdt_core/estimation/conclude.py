@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hdt_core.estimation.damped import assess_optimum
+from hdt_core.estimation.damped import AT_BOUND_SD, assess_optimum
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum, quadratic_model
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.fit import noise_variance
@@ -192,9 +192,9 @@ def _check_ranges(problem: Problem, cov: Array, variance: float, passes: int = 0
 
 
 def rests_on_bound(bounds: Array, theta: Array, cov: Array) -> bool:
-    """Check for a free parameter within a thousandth of its standard deviation of a limit."""
+    """Check for a free parameter that rests on a bound, to a thousandth of its standard deviation."""
     for (low, high), value, variance in zip(bounds.tolist(), theta.tolist(), cov.diagonal().tolist(), strict=True):
-        margin = 1e-3 * min(variance, 1e300) ** 0.5
+        margin = AT_BOUND_SD * min(variance, 1e300) ** 0.5
         if not low + margin < value < high - margin and low < high:
             return True
     return False

@@ -11,6 +11,7 @@ FIRST_DAMPING = 1e-3
 MOST_DAMPING = 1e20
 NEGLIGIBLE_SHARE = 1e-8  # of the residual variance: the last step taken moved 1e-4 standard deviations
 NEGLIGIBLE = 1e-22  # the same for records without noise, in squared sigmas
+AT_BOUND_SD = 1e-3  # standard deviations from a bound within which a parameter rests on it
 
 
 @compiled
@@ -142,11 +143,11 @@ def inverse_spd(information: Array) -> tuple[Array, float]:  # noqa: PLR0912 (co
 @compiled
 def assess_optimum(normal: Array, gradient: Array, theta: Array, bounds: Array) -> tuple[Array, float, float, bool]:
     """Compute the inverse of `normal` (n, n) and its scaled determinant, the distance to the optimum in standard
-    deviations (Newton's decrement), and whether `theta` is off its bounds by more than a thousandth of one."""
+    deviations (Newton's decrement), and whether no parameter rests on a bound."""
     inverse, determinant = inverse_spd(normal)
     square, is_inside = 0.0, determinant > 0.0
     for i in range(theta.size):
-        margin = 1e-3 * np.sqrt(inverse[i, i])
+        margin = AT_BOUND_SD * np.sqrt(inverse[i, i])
         is_inside = is_inside and bounds[i, 0] + margin < theta[i] < bounds[i, 1] - margin
         for j in range(theta.size):
             square += gradient[i] * inverse[i, j] * gradient[j]

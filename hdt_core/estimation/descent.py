@@ -47,7 +47,8 @@ def quadratic_model(problem: Problem, theta: Array, n_evals: int = 0) -> Point:
 
 
 def linearise(problem: Problem, theta: Array, weigh: Weigh | None = None) -> tuple[Array, Array, Array]:
-    """Compute the objective (b,), half its gradient (b, n) and the normal matrix (b, n, n) at `theta` (b, n).
+    """Compute the objective (b,), half its gradient (b, n) and the normal matrix (b, n, n) at `theta` (b, n); the
+    objective is infinite where the model fails.
 
     `weigh` gives the weight of each residual (k, m), which is over its standard deviation.
     """
@@ -61,7 +62,8 @@ def linearise(problem: Problem, theta: Array, weigh: Weigh | None = None) -> tup
         gradient = problem.sum_each(np.einsum("kmi,km->ki", weighted, residual))
         normal = problem.sum_each(np.einsum("kmi,kmj->kij", weighted, slope))
         pull = deviation @ information
-        return cost + np.einsum("bi,bi->b", pull, deviation), gradient + pull, normal + information
+        cost = np.nan_to_num(cost + np.einsum("bi,bi->b", pull, deviation), nan=np.inf, posinf=np.inf)
+    return cost, gradient + pull, normal + information
 
 
 def gauss_newton(problem: Problem, origin: Array, steps: int, weigh: Weigh) -> tuple[Array, Array]:
@@ -123,28 +125,23 @@ def descend_each(problem: Problem, origin: Array, max_steps: int = 200, n_evals:
         _Walk(b, Point(theta, np.inf, nothing[0], nothing, n_evals), n_values[b], np.full(n, TINY), theta)
         for b, theta in enumerate(origin)
     ]
-    is_finite = np.isfinite(_objectives(problem, walks))
-    for b in np.flatnonzero(~is_finite):
-        walks[b].point = replace(walks[b].point, n_evals=n_evals + 1)
-    live = [walks[b] for b in np.flatnonzero(is_finite)]
-    _linearise_trials(problem, live)
+    _linearise_trials(problem, walks)
+    live = [walk for walk in walks if walk.point.objective < np.inf]
     for _ in range(max_steps):
         for walk in live:
             walk.propose(problem.bounds)
         live = [walk for walk in live if walk.goes_on]
+        if not live:
+            break
         for walk, objective in zip(live, _objectives(problem, live), strict=True):
             walk.judge(float(objective))
         _linearise_trials(problem, [walk for walk in live if walk.is_better])
         live = [walk for walk in live if walk.goes_on]
-        if not live:
-            break
     return [walk.point for walk in walks]
 
 
 def _objectives(problem: Problem, walks: list[_Walk]) -> Array:
     """Compute the objective of each trial. (walks,)"""
-    if not walks:
-        return np.empty(0)
     part, trials = _trials(problem, walks)
     objectives: Array = part.objective_each(trials[None])[0]
     return objectives
