@@ -175,7 +175,7 @@ STAGES = (
     ),
     declare_stage(
         "twin_health", "twin", "twin_health", "twin_checkpoints", "residuals_components",
-        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2, code="16",
+        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2, code="17",
         fresh="twin_health", label="health, features, alerts",
     ),
     declare_stage(  # legs are admitted after the twin, which does not depend on it

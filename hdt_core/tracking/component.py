@@ -8,6 +8,7 @@ import polars as pl
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.initial_wear import ENTRY, MIN_FLIGHT_SD, EntryWear
 from hdt_core.components import Component
+from hdt_core.components.declaration import CLEANED
 from hdt_core.components.exchanger import HX
 from hdt_core.estimation import Estimate, Estimator, NonlinearLeastSquares, estimators
 from hdt_core.estimation.problem import Belief
@@ -24,6 +25,8 @@ LEAST_STEPS = 8
 """Steps between flights from which their scatter is estimated."""
 SUDDEN_LOSS, FAULT_CHANCE, OFFSET_BIN = (0.2, 0.2), 1e-6, 0.03
 """Sudden losses are of any size, and with no second sensor a step is rather the part's than a fault's."""
+WASH_SHARE = 0.5
+"""Of the work that the log lacks, on a component that is cleaned."""
 UNKNOWN_SD = 0.3
 """Of a design without a declared prior, about the calibrated one. [ln loss]"""
 WITHOUT_ESTIMATE = ("diverged", "not_identifiable")
@@ -154,8 +157,9 @@ def wear_settings(component: Component, param: Param, offset: DesignOffset) -> t
     paces = tuple(Pace(*(factors * pace).tolist()) for pace in PACES)
     unit_sd = (UNIT_SD if param.unit_sd is None else param.unit_sd) / size
     walk, entries = param.drift / size or WEAR_STEP, _entries(component.new_share)
+    washes = WASH_SHARE * (CLEANED in component.ended_by)
     return size, Settings(
-        0.0, offset.sd / size, unit_sd, unit_sd, paces, walk, SUDDEN_LOSS, FAULT_CHANCE, OFFSET_BIN, entries
+        0.0, offset.sd / size, unit_sd, unit_sd, paces, walk, SUDDEN_LOSS, FAULT_CHANCE, washes, OFFSET_BIN, entries
     )
 
 

@@ -187,12 +187,15 @@ def branch_on_surprise(
     may_fault = is_surprising & ~b.faulty
     is_without_entry = is_above & (log_entry == NOTHING)
     wash = _wash(b.at(log_entry == WASH), WASH_LEAVES, WASH_LEAVES_SD, settings)
-    unlogged_units = (u._replace(unlogged=u.pack >= 0) for u in _renew(b.at(is_without_entry), settings))
+    worked_on, wash_share = b.at(is_without_entry), settings.wash_share
+    unlogged = [_chance(unit, 1.0 - wash_share) for unit in _renew(worked_on, settings)]
+    if wash_share:
+        unlogged.append(_chance(_wash(worked_on, WASH_LEAVES, WASH_LEAVES_SD, settings), wash_share))
     return [
         *(_chance(unit, RENEWAL_LOGGED * LOG_LATE) for unit in _renew(b.at(log_entry == REPLACEMENT), settings)),
         _chance(wash, RENEWAL_LOGGED * LOG_LATE),
-        *(_chance(unit, RENEWAL_UNLOGGED) for unit in unlogged_units),
-        _chance(_wash(b.at(is_without_entry), RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
+        *(_chance(u._replace(unlogged=u.pack >= 0), RENEWAL_UNLOGGED) for u in unlogged),
+        _chance(_wash(worked_on, RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
         _chance(_add_wear(b.at(is_below), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
         _chance(_add_wear(b.at(is_below), *settings.clog), CHANCE["clog"]),
         _chance(_begin_fault(b.at(may_fault)), settings.fault_chance * unchecked[may_fault]),

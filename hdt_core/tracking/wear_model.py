@@ -58,8 +58,9 @@ class Settings(NamedTuple):
     """Settings of the filter: clean level of the digital system model (see `Dsm`), spread and wear of the units.
 
     `clog` is the ln loss of a sudden clog and its spread, `fault_chance` the chance of a fault of door or sensor on a
-    flight. Hypotheses whose sensors' offsets differ by more than `offset_bin` are not merged. `truncated`: a loss below
-    0 is impossible, and the estimate is the mean above it.
+    flight. `wash_share` of work that the log lacks are washes, beside recoveries without any work. Hypotheses whose
+    sensors' offsets differ by more than `offset_bin` are not merged. `truncated`: a loss below 0 is impossible, and the
+    estimate is the mean above it.
     """
 
     level: float
@@ -70,6 +71,7 @@ class Settings(NamedTuple):
     wear_step: float = WEAR_STEP
     clog: tuple[float, float] = CLOG
     fault_chance: float = FAULT_CHANCE
+    wash_share: float = 0.0
     offset_bin: float = np.inf
     entries: tuple[EntryWear, ...] = ENTRY
     truncated: bool = True

@@ -42,7 +42,9 @@ def test_wear_is_brought_to_the_exchangers_by_the_loss_and_life_at_which_it_fail
     assert (own.level, own.level_sd, own.unit_sd, own.wear_step) == pytest.approx(
         (0.0, 0.1 / size, 0.04 / size, 0.01 / size)
     )
-    assert (own.clog, own.fault_chance, own.offset_bin) == ((0.2, 0.2), 1e-6, 0.03)
+    assert (own.clog, own.fault_chance, own.offset_bin, own.wash_share) == ((0.2, 0.2), 1e-6, 0.03, 0.5)
+    renewed_only = replace(COMPONENT, ended_by=("REPLACED",))
+    assert wear_settings(renewed_only, VALVE.param("valve_loss"), DesignOffset())[1].wash_share == 0.0
     assert own.paces[1] == pytest.approx((0.45, 5e-4, 4e-4, 6e-5 / 8**0.5, 6e-5 / 8**0.5))
     param = replace(VALVE.param("valve_loss"), unit_sd=0.07)
     assert wear_settings(COMPONENT, param, DesignOffset())[1].unit_sd == pytest.approx(0.07 / size)

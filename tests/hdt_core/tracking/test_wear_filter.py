@@ -16,7 +16,7 @@ PACES = [(0.45, 1.5e-4, 2e-4, 4e-5, 4e-5), (0.45, 1e-3, 8e-4, 6e-5, 6e-5), (0.10
 UNCHECKED = 0.6
 """Share of the ratio's sensors that no other vouches for."""
 ENTRY = [(0.50, 0.004, 0.005), (0.20, 0.030, 0.020), (0.18, 0.090, 0.040), (0.12, 0.200, 0.080)]
-SETTINGS = Settings(level=0.02, level_sd=0.01, offset_sd=0.05)
+SETTINGS = Settings(level=0.02, level_sd=0.01, offset_sd=0.05, wash_share=0.25)
 ROW = np.array([-1.0, 0.0, 1.0, 1.0, 1.0])
 
 
@@ -91,7 +91,8 @@ def branched(h: One, ratio: float, variance: float, opened: int) -> list[One]:
     if open_kind:
         children += renewed(h, 0.5 / 60, h.unlogged) if open_kind == 2 else [washed(h, 0.5 / 60, 0.3, 0.2)]
     if surprised and off > 0 and not open_kind:
-        children += [*renewed(h, 1 / 400, True), washed(h, 1 / 2000, 0.35, 0.3)]
+        children += [*renewed(h, 0.75 / 400, True), washed(h, 1 / 2000, 0.35, 0.3)]
+        children.append(washed(h, 0.25 / 400, 0.3, 0.2)._replace(unlogged=True))
     if surprised and off < 0:
         children += [worn(h, 1 / 200, 0.02, 0.02), worn(h, 1 / 2000, 0.17, 0.17)]
     if surprised and h.faulty:
