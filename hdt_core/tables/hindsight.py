@@ -65,8 +65,3 @@ DESIGN = (
     "the days that they concern."
 )
 """Further causes of changes: the models of the aircraft, and the record itself."""
-
-
-def revised_names(table: str) -> set[str]:
-    """Return columns and parameters of a table or view that a later night may change."""
-    return {name for revision in REVISIONS if table in revision.tables for name in revision.names}
