@@ -95,7 +95,8 @@ def _notes(facts: Facts, row: Row, outlook: Row, alerts: list[Row]) -> Iterator[
         day = words.day(a["raised_at"])
         yield _("{diagnosis} since {day}", diagnosis=words.diagnosis(a["diagnosis"]), day=day)
     if outlook["component"] == "CC":
-        yield _("flights left are the compressor's: {loss} lost", loss=words.percent(row["cc_efficiency_loss"], 1))
+        loss, whose = row["cc_efficiency_loss"], _("flights left are the compressor's")
+        yield whose if loss is None else _("{whose}: {loss} lost", whose=whose, loss=words.percent(loss, 1))
     if row["work_action"]:
         yield words.work_done(row)
     for day in facts["gaps"].filter(gap="silent_now", operator=row["operator"], tail=row["tail"])["from_at"]:

@@ -10,6 +10,7 @@ from small_catalog import OWN, START, alert, catalog, flight, fouling, message, 
 
 from hdt_core.alerts.grid import UNOBSERVED
 from hdt_core.records.unit_index import UTC, date_entries, number_units
+from pipelines.report.facts import OUTLOOKS
 from pipelines.storage.publication import views
 
 
@@ -313,7 +314,7 @@ def test_no_information_is_not_a_plan():
         ("T-1", "prior_only", 4), ("T-2", "ok", 3), ("T-2", "prior_only", 1)
     ]  # fmt: skip
     assert rows(con, "select distinct rul_flights from prognoses") == [(126.0,)]  # an estimate, with its status
-    for view in ("due_dates", "next_stop"):
+    for view in ("due_dates", "next_stop", f"({OUTLOOKS})"):
         assert {tail for (tail,) in rows(con, f"select distinct tail from {view}")} <= {"T-2"}
     assert rows(con, "select distinct is_observed from health_parameters where tail = 'T-1'") == [(False,)]
 
