@@ -76,7 +76,8 @@ def tree(tmp_path_factory) -> Path:
     install(top, "patient", ESTIMATOR, "patient = patient:PatientLeastSquares", "hdt.estimators")
     replaced(top / "hdt_core/health/features.py", '    if "flight_hours" in names:\n', (
         '    if "hx_fouling" in names:\n'
-        '        columns.append((pl.col("hx_fouling") ** 2).alias("hx_fouling_squared"))\n    if "flight_hours" in names:\n'
+        '        columns.append((pl.col("hx_fouling") ** 2).alias("hx_fouling_squared"))\n'
+        '    if "flight_hours" in names:\n'
     ))  # fmt: skip
     replaced(top / "hdt_core/tables/features.py", '    yield "usage_hours",', (
         '    yield _number("hx_fouling_squared", "hx_fouling times itself")\n    yield "usage_hours",'
