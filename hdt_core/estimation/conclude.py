@@ -28,7 +28,8 @@ WIDE = 6.0  # standard deviations: a declared range with fewer is hardly narrowe
 def settle(
     problem: Problem, theta: Array, n_evals: int, *, polish: bool = True, cov: Array | None = None, **fields: Any
 ) -> Estimate:
-    """Finish a method that does not end on the optimum by itself: least squares from `theta` (n,), where `polish`.
+    """Finish a method that does not end on the optimum by itself: least squares from `theta` (n,), where `polish`;
+    `Estimate.method` then names them.
 
     The method's own covariance `cov` is kept where the optimum lies within one of its standard deviations of `theta`.
     """
@@ -37,6 +38,7 @@ def settle(
     if not polish:
         return conclude(problem, theta, "approximate", n_evals, cov=cov, **fields)
     point = descend(problem, np.clip(theta, *problem.bounds.T), n_evals=n_evals)
+    fields["method"] = f"{fields.get('method', '')}, finished by least squares"
     if cov is not None:
         change, sd = np.abs(point.theta - theta), np.sqrt(np.maximum(np.diag(cov), 0.0))
         cov = cov if (change <= sd).all() else None

@@ -55,7 +55,7 @@ class Estimate:
     path_sd : array (k, n) or None
         Standard deviations along the path.
     method : str
-        The estimator's name.
+        The estimator's name, and what finished its estimate where that is another.
     distance : float
         From the optimum, in standard deviations: Newton's decrement. NaN where it is not known.
     profile : Profile or None

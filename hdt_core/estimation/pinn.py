@@ -83,7 +83,7 @@ class PhysicsInformedNet:
     def estimate(self, problem: Problem) -> Estimate:
         """Train the net, the parameters and the missing terms; return the parameters."""
         if problem.transition is None:
-            return settle(problem, problem.origin, 0, method=f"{self.name}: least squares, no dynamics")
+            return settle(problem, problem.origin, 0, method=f"{self.name}, no dynamics")
         guess = _simulate_states(problem)
         if not np.isfinite(guess).all():
             return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)

@@ -95,7 +95,8 @@ def square(measured=4.0, drift=0.0, sigma=0.1) -> Problem:
 )  # fmt: skip
 def test_how_a_filter_ends(estimator, drift, status):
     estimate = replace(estimator, name="other").estimate(square(drift=drift))
-    assert (estimate.status, estimate.method) == (status, "other")
+    finish = ", finished by least squares" * (estimator == UnscentedKalman())
+    assert (estimate.status, estimate.method) == (status, f"other{finish}")
     assert (estimate.innovations is not None) is (drift > 0.0)
     assert np.isnan(estimate.distance) == (drift > 0.0)
 
@@ -320,5 +321,5 @@ def test_a_parameter_at_zero_has_the_magnitude_of_its_prior_its_bounds_or_its_st
 
 def test_a_net_of_a_model_without_states_is_least_squares_and_says_so():
     estimate = PhysicsInformedNet().estimate(line())
-    assert estimate.method == "pinn: least squares, no dynamics"
+    assert estimate.method == "pinn, no dynamics, finished by least squares"
     assert estimate.n_evals == NonlinearLeastSquares().estimate(line()).n_evals

@@ -250,7 +250,7 @@ def test_a_missing_force_is_named_and_widens_the_interval():
     assert estimate.belief.sd[1] < 0.25
     assert abs(plain.belief.mean[1] - 2.0) > 10.0 * plain.belief.sd[1]
     complete = PhysicsInformedNet().estimate(oscillator(1, cubic_n_m3=0.0))
-    assert complete.method == "pinn"
+    assert complete.method == "pinn, finished by least squares"
     assert (np.abs(complete.belief.mean - truth) < 2.0 * complete.belief.sd).all()
     unsettled = PhysicsInformedNet(max_steps=2).estimate(incomplete)
     assert (unsettled.status, unsettled.method) == ("max_steps", "pinn")
