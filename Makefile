@@ -80,7 +80,7 @@ lock:
 
 # every message of code, templates and declarations, into the catalog of each language
 words: $(READY)
-	$(BIN)/python -m pipelines.translations
+	$(BIN)/python -m docs.translations
 
 clean:
 	rm -rf $(VENV) $(HDT_HOME) .pytest_cache .mypy_cache .ruff_cache

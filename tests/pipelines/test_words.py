@@ -9,11 +9,12 @@ import pytest
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po
 
+from docs import translations
 from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
 from hdt_core.alerts.signatures import CHANNELS
 from hdt_core.errors import UserError
 from hdt_core.tables.signals import Signals
-from pipelines import translations, words
+from pipelines import words
 from pipelines.report.explain import explain
 from pipelines.storage.catalog import connect
 from pipelines.words import languages, use_language
@@ -46,7 +47,7 @@ def test_there_is_a_language_beside_english():
 
 @pytest.mark.parametrize("language", OTHERS)
 def test_no_message_is_missing_and_none_is_left_over(language):
-    """`python -m pipelines.translations` finds them anew."""
+    """`python -m docs.translations` finds them anew."""
     collected, translated = ({m.id for m in c if m.id} for c in (translations.collect_messages(), catalog(language)))
     assert translated == collected
 

@@ -1,4 +1,4 @@
-"""`python -m pipelines.translations`: collect all messages, keep their translations and compile them. Needs Babel."""
+"""`python -m docs.translations`: collect all messages, keep their translations and compile them. Needs Babel."""
 
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +15,7 @@ from pipelines.report.tasks import ACTIONS
 from pipelines.words import ENGLISH
 from pipelines.words.evidence import phrases
 
-ROOT = Path(__file__).parent
+ROOT = Path(__file__).parents[1] / "pipelines"
 HERE = ROOT / "words"
 KEYWORDS = {"_": None, "html_text": None, "several": (1, 2)}
 DATA_VALUES = (
