@@ -7,7 +7,7 @@ from typing import Any
 
 import polars as pl
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 from pipelines.storage.cases import FAULTS, NO_FAULT, CaseLog
 from pipelines.storage.catalog import connect, fetch_dicts
 from pipelines.storage.publication import views

@@ -116,7 +116,7 @@ def test_dagsters_private_api_stays_in_one_folder_whose_page_lists_it():
 
 MANY_TO_MANY = {
     "hdt_core/prognosis/unit_lives.py": "a life meets every message of its pack, a message every sound inspection",
-    "hdt_core/records/renewals.py": "an entry of the log meets every flight of its pack",
+    "hdt_core/records/unit_index.py": "an entry of the log meets every flight of its pack",
     "pipelines/intake/findings.py": "a finding meets every entry of the log about the same work",
     "pipelines/intake/merge.py": "a row meets what every other file says of its key",
 }

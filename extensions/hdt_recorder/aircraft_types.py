@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hdt_core.components import recorded_components
-from hdt_core.toml_text import parse_toml
+from hdt_core.loading import parse_toml
 from pipelines.intake.columns import SIGNAL_COLUMNS
 from pipelines.intake.fields import MAX_PACKS
 

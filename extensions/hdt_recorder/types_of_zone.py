@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from pathlib import Path
 
-from hdt_core.packages import load_entry_points
+from hdt_core.loading import load_entry_points
 from hdt_recorder.aircraft_types import AircraftType, AircraftTypeError, read_type
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import RECORDER, Kind, LandingFile

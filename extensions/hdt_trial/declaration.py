@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from hdt_core.errors import UserError
-from hdt_core.toml_text import parse_toml
+from hdt_core.loading import UserError, parse_toml
 
 DEFAULT = (resources.files("hdt_trial") / "declaration.toml").read_text("utf-8")
 

@@ -30,8 +30,7 @@ from hdt_core.flight.windows import baseline_flights
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import within
-from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
-from hdt_core.records.packs import of_each_aircraft
+from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK, of_each_aircraft
 from hdt_core.robust import median_error
 
 TERM_ROUNDS = 3

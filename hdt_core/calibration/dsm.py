@@ -14,7 +14,7 @@ from hdt_core.calibration.compressor import PROBE_BIASES
 from hdt_core.calibration.compressor_fit import CompressorFit
 from hdt_core.calibration.forms import FormFit
 from hdt_core.calibration.pooling import PooledLevel
-from hdt_core.json_values import with_tuples
+from hdt_core.loading import with_tuples
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import PACK

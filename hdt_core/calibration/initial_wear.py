@@ -10,7 +10,7 @@ import polars as pl
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.records.keys import IN_ORDER, PACK
-from hdt_core.records.renewals import REPLACEMENT, log_flags
+from hdt_core.records.unit_index import REPLACEMENT, log_flags
 from hdt_core.robust import spread
 
 FIRST_FLIGHTS = 10

@@ -10,8 +10,7 @@ from hdt_core.components.compressor import CC
 from hdt_core.components.declaration import ACTIONS, Channel, Component, Limit, Reading, Record
 from hdt_core.components.exchanger import HX
 from hdt_core.components.unmetered_exchanger import HXT
-from hdt_core.errors import UserError
-from hdt_core.packages import load_entry_points
+from hdt_core.loading import UserError, load_entry_points
 
 __all__ = [
     "ACTIONS", "Channel", "Component", "ComponentError", "Limit", "Reading", "Record", "component_rows", "components",

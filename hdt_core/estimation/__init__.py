@@ -14,7 +14,7 @@ from hdt_core.estimation.pinn import PhysicsInformedNet
 from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.estimation.pso import ParticleSwarm
 from hdt_core.estimation.ukf import UnscentedKalman
-from hdt_core.packages import load_entry_points
+from hdt_core.loading import load_entry_points
 
 METHODS: tuple[Estimator, ...] = (
     NonlinearLeastSquares(), ParticleSwarm(), ExtendedKalman(), UnscentedKalman(), PhysicsInformedNet(),

@@ -4,8 +4,7 @@ import polars as pl
 
 from hdt_core.flight.legs import RUNNING_KG_S
 from hdt_core.flight.phases import CRUISE_FLOOR_M
-from hdt_core.records.keys import AIRCRAFT, FLIGHT
-from hdt_core.records.packs import is_among
+from hdt_core.records.keys import AIRCRAFT, FLIGHT, is_among
 
 BLEED = "BLEED"
 """Reason code of such a leg."""

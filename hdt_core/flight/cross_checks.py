@@ -7,8 +7,7 @@ import polars as pl
 
 from hdt_core.flight.control_schedule import ControlSchedule, has_authority
 from hdt_core.flight.legs import RUNNING_KG_S
-from hdt_core.records.keys import FLIGHT, LEG, PACK
-from hdt_core.records.packs import join_other_pack
+from hdt_core.records.keys import FLIGHT, LEG, PACK, join_other_pack
 from hdt_core.robust import MEDIAN_SD, spread_expr
 
 SMOOTHED_FLIGHTS = 7  # of the running medians of checks and conductance

@@ -9,9 +9,8 @@ from hdt_core.flight.control_schedule import ControlSchedule
 from hdt_core.flight.cross_checks import leg_checks
 from hdt_core.flight.manifold import Manifold, leg_conductance
 from hdt_core.flight.nominal import IndexLevel, Scatter
-from hdt_core.json_values import with_tuples
-from hdt_core.records.keys import LEG
-from hdt_core.records.packs import of_each_aircraft
+from hdt_core.loading import with_tuples
+from hdt_core.records.keys import LEG, of_each_aircraft
 from hdt_core.tables.base import finite
 
 

@@ -13,8 +13,7 @@ from hdt_core.flight.cross_checks import ln_ratio
 from hdt_core.flight.legs import RUNNING_KG_S
 from hdt_core.margin.control_schedules import ControlSchedules, learn_schedules
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
-from hdt_core.records.keys import LEG
-from hdt_core.records.packs import join_other_pack
+from hdt_core.records.keys import LEG, join_other_pack
 from hdt_core.tables.base import finite
 from hdt_core.tables.signals import SIGNALS
 

@@ -14,7 +14,7 @@ import polars as pl
 from hdt_core.calibration.arrays import Array
 from hdt_core.flight.control_schedule import ControlSchedule, above_schedule, fit_schedule, learn_outlet_schedule
 from hdt_core.flight.legs import RUNNING_KG_S
-from hdt_core.json_values import with_tuples
+from hdt_core.loading import with_tuples
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG, PACK
 from hdt_core.robust import spread
 

@@ -17,8 +17,7 @@ from hdt_core.margin.conditions import DEMAND_NAMES, LEVELS, demand_quantiles, r
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K
 from hdt_core.margin.margin import PRIOR_RULE, at_excess
 from hdt_core.physics.model import Array
-from hdt_core.records.keys import LEG, PACK
-from hdt_core.records.packs import number_packs
+from hdt_core.records.keys import LEG, PACK, number_packs
 
 RATE, RATE_SD = 0.0012, 0.0012
 """Ln conductance lost a flight, and its spread over units: a life of some 400 flights to a loss of 0.38. [1/flight]"""

@@ -13,8 +13,7 @@ from hdt_core.components.exchanger import HX
 from hdt_core.estimation import Estimate, Estimator, NonlinearLeastSquares, estimators
 from hdt_core.estimation.problem import Belief
 from hdt_core.physics.model import Param, PhysicsModel
-from hdt_core.records.keys import IN_ORDER
-from hdt_core.records.packs import split_packs
+from hdt_core.records.keys import IN_ORDER, split_packs
 from hdt_core.robust import MAD_TO_SD
 from hdt_core.tracking.loss_filter import Loss, TrackResult, join_tracks, track_loss
 from hdt_core.tracking.segments import SEGMENT_FLIGHTS

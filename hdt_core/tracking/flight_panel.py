@@ -8,9 +8,8 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.records.keys import LEG_AT
-from hdt_core.records.packs import split_packs
-from hdt_core.records.renewals import RENEWALS, log_flags, log_kept
+from hdt_core.records.keys import LEG_AT, split_packs
+from hdt_core.records.unit_index import RENEWALS, log_flags, log_kept
 from hdt_core.tracking.wear_model import Observation
 
 FILTERED = "kalman_filtered"

@@ -9,7 +9,7 @@ import numpy as np
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.estimation.problem import Belief
-from hdt_core.records.renewals import NOTHING, REPLACEMENT, WASH
+from hdt_core.records.unit_index import NOTHING, REPLACEMENT, WASH
 from hdt_core.tracking.wear_model import MAP_SD, OTHER, RATE, SENSORS, UNIT, WEAR, Observation, Settings
 
 LEAST_WEIGHT, MOST, WEAR_BIN = 1e-6, 40, 0.01

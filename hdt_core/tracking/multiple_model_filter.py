@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import erfcx
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.records.renewals import NOTHING
+from hdt_core.records.unit_index import NOTHING
 from hdt_core.tracking.hypotheses import (
     CHANCE,
     LATE_FLIGHTS,

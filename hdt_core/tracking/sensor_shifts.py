@@ -15,7 +15,7 @@ import polars as pl
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.flight.cross_checks import TOLERANCE
-from hdt_core.records.packs import join_other_pack, split_packs
+from hdt_core.records.keys import join_other_pack, split_packs
 
 
 class RedundantSensor(NamedTuple):

@@ -17,8 +17,7 @@ from hdt_core.flight.admission import admit, learn_baseline
 from hdt_core.flight.bleed import reject_odd_bleed
 from hdt_core.flight.nominal_baseline import leg_indicators
 from hdt_core.margin.control_schedules import learn_schedules
-from hdt_core.records.keys import FLIGHT_PACK, LEG
-from hdt_core.records.packs import of_each_aircraft
+from hdt_core.records.keys import FLIGHT_PACK, LEG, of_each_aircraft
 from hdt_core.tables.signals import SIGNALS
 from pipelines.assets.stage import StageResult, stage
 from pipelines.report.plots import as_png, figure_12, figure_13, figure_15, outlet_residuals

@@ -4,8 +4,7 @@ import logging
 import sqlite3
 import sys
 
-from hdt_core.errors import UserError
-from hdt_core.packages import load_entry_points
+from hdt_core.loading import UserError, load_entry_points
 from pipelines.cli import cases, look, make, night, serve, share
 from pipelines.cli.base import StopError, UsageError, app, out, print_error
 from pipelines.cli.stops import StoppedError, stop_in_order

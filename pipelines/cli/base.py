@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 
 ORDER = (
     "nightly", "backfill", "status", "explain", "close", "case", "serve", "report", "digest", "orders", "query",

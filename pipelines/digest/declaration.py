@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 from pipelines.storage.objects import StoreError
 from pipelines.storage.settings import notify_file, read_values
 

@@ -10,8 +10,8 @@ from typing import Any
 import polars as pl
 
 from hdt_core.components import components
+from hdt_core.loading import parse_toml
 from hdt_core.tables import TABLES
-from hdt_core.toml_text import parse_toml
 from pipelines.intake.faults import Fault
 
 NAME, COSTS = "costs.toml", "costs"

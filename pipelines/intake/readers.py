@@ -11,8 +11,7 @@ from typing import Protocol, runtime_checkable
 
 import polars as pl
 
-from hdt_core.errors import UserError
-from hdt_core.packages import load_entry_points
+from hdt_core.loading import UserError, load_entry_points
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import FileIntake, Kind, LandingFile
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 from pipelines.storage import postgres
 from pipelines.storage.files import narrow_umask
 from pipelines.storage.ledger import Ledger

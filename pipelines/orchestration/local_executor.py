@@ -12,7 +12,7 @@ from multiprocessing import forkserver, get_context, resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 
 if TYPE_CHECKING:  # Dagster takes seconds to load, and a night with nothing new needs none of it
     from pipelines.orchestration.batches import BatchResult, PartitionBatch

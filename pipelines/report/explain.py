@@ -7,7 +7,7 @@ from typing import Any
 
 import duckdb
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 from pipelines.report import words
 from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
 from pipelines.storage.catalog import connect, fetch_dicts

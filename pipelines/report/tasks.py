@@ -10,7 +10,7 @@ from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.alerts.phrases import THEN
 from hdt_core.components import components
 from hdt_core.components.declaration import REPLACED
-from hdt_core.toml_text import parse_toml
+from hdt_core.loading import parse_toml
 from pipelines.storage.objects import StoreError
 from pipelines.storage.settings import read_values
 from pipelines.words import _, several

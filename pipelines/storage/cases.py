@@ -18,7 +18,7 @@ from typing import Any
 import polars as pl
 from polars.exceptions import PolarsError
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 from hdt_core.tables import TABLES
 from pipelines.storage import postgres
 from pipelines.storage.database import Database, query_value

@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 from urllib.parse import urlsplit
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 
 URL = "HDT_LEDGER_URL"
 _LOCK = "hashtext('hdt'), hashtext(current_schema())"

@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hdt_core.toml_text import parse_toml
+from hdt_core.loading import parse_toml
 from pipelines.storage.files import replacing
 from pipelines.storage.objects import StoreError
 

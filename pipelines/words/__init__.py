@@ -11,7 +11,7 @@ from gettext import GNUTranslations, NullTranslations
 from importlib import resources
 from typing import Any
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 
 ENGLISH, DOMAIN = "en", "hdt"
 _language: ContextVar[str] = ContextVar("language", default=ENGLISH)

@@ -12,7 +12,7 @@ from babel.messages.pofile import read_po
 from docs import translations
 from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
 from hdt_core.alerts.signatures import CHANNELS
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 from hdt_core.tables.signals import Signals
 from pipelines import words
 from pipelines.report.explain import explain

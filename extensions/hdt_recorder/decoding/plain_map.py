@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from hdt_core.toml_text import parse_toml
+from hdt_core.loading import parse_toml
 from hdt_recorder.decoding.coding import Coding, Polynomial, Segments, Step, cut_digits
 from hdt_recorder.decoding.layout import (
     SYNC_WORDS,

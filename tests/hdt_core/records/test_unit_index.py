@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from hdt_core.alerts.grid import Grid
 from hdt_core.health.features import since_maintenance
 from hdt_core.prognosis.unit_lives import episodes
-from hdt_core.records.renewals import REPLACEMENT, log_flags
-from hdt_core.records.unit_index import date_entries, first_flights, number_units
+from hdt_core.records.unit_index import REPLACEMENT, date_entries, first_flights, log_flags, number_units
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
 from pipelines.report.plots import around_replacement

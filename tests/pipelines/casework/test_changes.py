@@ -8,7 +8,7 @@ import pytest
 from case_homes import case_home, publish_losses
 from small_catalog import START
 
-from hdt_core.errors import UserError
+from hdt_core.loading import UserError
 from pipelines.casework import RefusedError, change_case, find_case, history_of, list_cases
 from pipelines.storage.cases import ConflictError
 

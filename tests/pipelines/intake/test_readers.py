@@ -5,7 +5,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from hdt_core import packages
+from hdt_core import loading
 from pipelines.intake.components import read_components
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import LandingFile
@@ -29,7 +29,7 @@ def bring(monkeypatch):
     """Have packages bring something else for this test."""
 
     def instead(*points: SimpleNamespace) -> None:
-        monkeypatch.setattr(packages, "entry_points", lambda group: points)
+        monkeypatch.setattr(loading, "entry_points", lambda group: points)
         readers.cache_clear()
 
     yield instead
