@@ -20,11 +20,7 @@ from hdt_core.physics.heat_exchanger import (
     clean_conductance_w_k,
     outlets_k,
 )
-from hdt_core.physics.lumped_exchanger import (
-    effectiveness_ceiling,
-    lumped_exchanger,
-    tied_coefficient_w_k,
-)
+from hdt_core.physics.lumped_exchanger import effectiveness_ceiling, lumped_exchanger, tied_coefficient_w_k
 
 mpl.use("Agg")
 mpl.rcParams["svg.hashsalt"] = "hdt"  # the same figure, byte for byte, every time

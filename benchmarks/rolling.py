@@ -16,14 +16,7 @@ from sklearn.preprocessing import StandardScaler
 
 from benchmarks.fleets import Frames
 from hdt_core.prognosis.base import simulated_rows
-from hdt_core.prognosis.feature_rows import (
-    INPUTS,
-    PRIOR_RULES,
-    Tracks,
-    fleet_rows,
-    tracks,
-    tracks_as_of,
-)
+from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, Tracks, fleet_rows, tracks, tracks_as_of
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, SPANS, at_risk, event_by, passage_hazards, quantile
 from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD

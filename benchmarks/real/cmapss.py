@@ -11,15 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.real.lifetimes import (
-    Array,
-    Foretold,
-    Index,
-    Rows,
-    expected_left,
-    foretell,
-    history_features,
-)
+from benchmarks.real.lifetimes import Array, Foretold, Index, Rows, expected_left, foretell, history_features
 from benchmarks.real.recipe import Recipe, Result, Score, scored
 from hdt_core.prognosis.hazard import EDGES
 

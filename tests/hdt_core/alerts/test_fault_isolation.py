@@ -1,4 +1,4 @@
-"""Medians of late flights, of which a channel may have measured any number; records that end while one doubts."""
+"""Which sensor it is: medians of late flights, doubts at a record's end, the signatures and where they can't know."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -9,7 +9,7 @@ import pytest
 from hdt_core.alerts import fault_isolation
 from hdt_core.alerts.fault_isolation import MEDIAN_WORTH, Indications, _median_z
 from hdt_core.alerts.grid import Grid
-from hdt_core.alerts.signatures import CHANNELS
+from hdt_core.alerts.signatures import CHANNELS, HX_STEP, NO_SENSOR, SIZES, classify, signatures
 from hdt_core.health.detection import Shift, watch
 
 
@@ -132,3 +132,142 @@ def test_the_other_packs_sensor_ends_the_search_from_the_sixth_flight_on(monkeyp
 def test_a_shift_waits_a_hundred_flights_for_its_name(monkeypatch, sure_at, end, name) -> None:
     isolated = named(monkeypatch, lambda k: [("mach", "own", 0.96 * (k >= sure_at))], end)
     assert (isolated and isolated[0]) == name
+
+
+SIGNATURES = signatures()
+SENSORS = [k for k, (name, _) in enumerate(SIGNATURES.names) if name not in NO_SENSOR]
+FLIGHTS = 9.0
+AT = {c.name: k for k, c in enumerate((*CHANNELS, HX_STEP))}
+
+
+def expected_shifts(k: int, size: float, rng: np.random.Generator) -> np.ndarray:
+    """Shifts of nine flights under hypothesis k; one inlet law at a time, as aircraft record it."""
+    z = size * np.sqrt(FLIGHTS) * SIGNATURES.shift[k] + rng.standard_normal(SIGNATURES.shift.shape[1])
+    z[[AT["hx_in_over_pressure_k"], AT["hx_in_over_pressure_k"] + len(AT)]] = np.nan
+    return z
+
+
+@pytest.mark.parametrize("k", SENSORS, ids=lambda k: "-".join(SIGNATURES.names[k]))
+@pytest.mark.parametrize("size", [-1.0, 1.0])
+def test_names_the_sensor_and_the_pack(k: int, size: float) -> None:
+    rng = np.random.default_rng(k)
+    hits = [classify(expected_shifts(k, size, rng), FLIGHTS)[0][:2] == SIGNATURES.names[k] for _ in range(20)]
+    # what only the hot inlet's law sees may be its own sensor or the discharge's
+    assert np.mean(hits) >= (0.8 if SIGNATURES.names[k][0] not in ("cc_out_k", "hx_in_k") else 0.3)
+
+
+@pytest.mark.parametrize("sensor", ["hx_in_k", "ram_door_open"])
+def test_the_hot_inlet_and_the_door_are_not_taken_for_wear(sensor: str) -> None:
+    z = expected_shifts(SIGNATURES.names.index((sensor, "own")), 1.0, np.random.default_rng(1))
+    blamed = sum(p for name, whose, p in classify(z, FLIGHTS) if name not in NO_SENSOR and whose != "other")
+    assert blamed > 0.95
+
+
+def test_does_not_name_what_it_cannot_know() -> None:
+    # left against right alone can't tell whose outlet it is
+    z = np.full(SIGNATURES.shift.shape[1], np.nan)
+    z[AT["hx_out_between_packs_k"]] = 12.0
+    assert classify(z, FLIGHTS)[0][2] == pytest.approx(0.5, abs=0.02)
+
+
+def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
+    """Bayes' rule in plain loops: each sensor's own, other's and shared fault and nothing, over 24 sizes either way."""
+    steps = [sign * 0.15 * (4.0 / 0.15) ** (i / 11) for i in range(12) for sign in (-1.0, 1.0)]
+    checks, weight = (*CHANNELS, HX_STEP), {}
+    for sensor, size in [*SIZES.items(), ("nothing", 0.0)]:
+        for whose in ("own", "other", "both") if sensor in ("tat_k", "total_pressure_pa", "mach") else ("own", "other"):
+            if sensor == "nothing" and whose == "other":
+                continue
+            total = 0.0
+            for step in steps:
+                log = -0.5 * step**2 + np.log(abs(step))
+                for half, mine in ((0, whose != "other"), (1, whose != "own")):
+                    for c, check in enumerate(checks):
+                        shift = z[half * len(checks) + c]
+                        if np.isnan(shift):
+                            continue
+                        sign = float(mine)
+                        if check.between:  # left minus right counts in the own half
+                            sign = 0.0 if half else {"own": 1.0, "other": -1.0, "both": 0.0}[whose]
+                        per_sd = step * size * flights**0.5 / check.sd
+                        a = sign * per_sd * check.effects.get(sensor, 0.0)
+                        b = np.hypot(0.3 * a, sign * per_sd * check.effect_sds.get(sensor, 0.0))
+                        var = 1.0 + check.wander**2 * flights + b**2
+                        p = np.exp(-0.5 * (shift - a) ** 2 / var) / var**0.5
+                        if half:
+                            wide = var + 20.0**2
+                            p += 1e-3 * np.exp(-0.5 * (shift - a) ** 2 / wide) / wide**0.5
+                        log += np.log(p)
+                total += np.exp(log)
+            weight[sensor, whose] = total * (10.0 if sensor in ("hx", "cc", "nothing") else 1.0)
+    return {name: w / sum(weight.values()) for name, w in weight.items()}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_posterior_is_bayes_rule(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    z = 2.0 * rng.standard_normal(SIGNATURES.shift.shape[1])
+    z[rng.random(z.size) < 0.2] = np.nan
+    posterior = {(sensor, whose): p for sensor, whose, p in classify(z, 5.0 + seed)}
+    assert posterior == pytest.approx(by_hand(z, 5.0 + seed), abs=1e-9)
+
+
+MOVES = """
+inlet_minus_tat_k 0.35 0.3: cc_in_k 1, tat_k -1
+inlet_over_total_pressure_ln 0.003 0.3: cc_in_pa 1, total_pressure_pa -1
+total_over_pitot_pressure_ln 0.0008 0.3: total_pressure_pa 1, mach -1, altitude_m 1
+pack_over_compressor_flow_ln 0.011 0.3: pack_flow_kg_s 1, cc_flow_kg_s -1
+tat_between_packs_k 0.15 0.3: tat_k 1
+total_pressure_between_packs_ln 0.0008 0.3: total_pressure_pa 1
+pack_flow_between_packs_ln 0.02 0.3: pack_flow_kg_s 1
+compressor_flow_between_packs_ln 0.022 0.3: cc_flow_kg_s 1
+cc_out_pressure_between_packs_ln 0.005 0.3: cc_out_pa 1
+cc_out_pressure_over_schedule_ln 0.003 0.3: cc_out_pa 1, pack_flow_kg_s -0.26
+hx_out_minus_target_k 1.8 0.6: hx_out_k 1, tat_k -0.6
+hx_out_between_packs_k 0.8 0.3: hx_out_k 1
+hx_in_over_discharge_k 0.7 0.6: hx_in_k 0.7, hx_out_k 0.3, ram_door_open 65 25, pack_flow_kg_s -57, hx 3 8, cc_out_k -0.56, tat_k -0.57
+hx_in_over_pressure_k 0.9 0.6: hx_in_k 0.7, hx_out_k 0.3, ram_door_open 65 25, pack_flow_kg_s -57, hx 3 8, cc_in_pa 75, cc_out_pa -75, tat_k -1.35, cc 56 15
+conductance_off_cruise_ln 0.018 0.3: ram_door_open -1.8 0.8, hx_out_k -0.006, hx_in_k 0.002, tat_k 0.005, hx 0.1 0.15
+hx_fouling_flight 0.016 0: hx_out_k 0.03, hx_in_k -0.008, tat_k -0.024, pack_flow_kg_s -1.6, ram_door_open 1.6 0.8, hx 1
+"""  # noqa: E501
+"""The matrix on paper: check, scatter, wander; what one unit of each fault does to it, and the spread of that."""
+
+
+def test_the_matrix_is_that_on_paper() -> None:
+    checks = {c.name: c for c in (*CHANNELS, HX_STEP)}
+    for line in MOVES.strip().splitlines():
+        head, _, faults = line.partition(": ")
+        name, sd, wander = head.split()
+        own = [fault.split() for fault in faults.split(", ")]
+        check = checks.pop(name)
+        assert (check.sd, check.wander, check.between) == (float(sd), float(wander), "between" in name)
+        assert check.effects == {sensor: float(by) for sensor, by, *_ in own}
+        assert check.effect_sds == {sensor: float(blur[0]) for sensor, _, *blur in own if blur}
+    assert not checks
+    assert SIZES == {
+        "tat_k": 3.5, "cc_in_k": 3.5, "total_pressure_pa": 0.03, "cc_in_pa": 0.05, "mach": 0.01,
+        "pack_flow_kg_s": 0.07, "cc_flow_kg_s": 0.07, "cc_out_pa": 0.05, "hx_in_k": 4.0, "hx_out_k": 4.0,
+        "cc_out_k": 4.0, "ram_door_open": 0.08, "hx": 0.08, "cc": 0.05,
+    }  # fmt: skip
+
+
+def test_probabilities_add_up_with_channels_missing() -> None:
+    z = 5.0 * SIGNATURES.shift[0]
+    z[3:] = np.nan
+    assert sum(p for _, _, p in classify(z, FLIGHTS)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("inlet", [-2.0, 0.0, 3.0])
+def test_a_real_step_of_the_exchanger_is_no_sensor(inlet: float) -> None:
+    z = np.zeros(SIGNATURES.shift.shape[1])
+    # a blockage takes ram flow, too, and the hot inlet feels it
+    z[AT["hx_fouling_flight"]], z[AT["hx_in_over_discharge_k"]] = 12.0, inlet
+    z[AT["hx_in_over_pressure_k"]] = np.nan
+    assert classify(z, FLIGHTS)[0][:2] == ("hx", "own")
+
+
+def test_chance_is_no_fault() -> None:
+    rng = np.random.default_rng(3)
+    quiet = [classify(rng.standard_normal(SIGNATURES.shift.shape[1]), FLIGHTS) for _ in range(50)]
+    worst = max(sum(p for name, _, p in one if name not in NO_SENSOR) for one in quiet)
+    assert worst < 0.5

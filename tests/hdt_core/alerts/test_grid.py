@@ -1,11 +1,16 @@
-"""The fleet as arrays: what the other pack says stands where its flight does."""
+"""The fleet as arrays, and no alert that rests on a prior: what a flight did not move raises nothing."""
 
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import polars as pl
+import pytest
+from one_pack import alerts, departure, features, work
 
-from hdt_core.alerts.grid import Grid
+from hdt_core.alerts.cases import Limits
+from hdt_core.alerts.component_alerts import raise_component_alerts
+from hdt_core.alerts.grid import UNOBSERVED, Grid
+from hdt_core.components import components
 
 
 def test_across_gives_the_other_packs_values_on_the_same_flight() -> None:
@@ -23,3 +28,69 @@ def test_across_gives_the_other_packs_values_on_the_same_flight() -> None:
     assert (one.shape, one.is_flight.tolist(), one.partner().tolist()) == ((1, 1), [[True]], [-1])
     assert Grid.from_frame(rows.clear()).shape == (0, 0)
     assert (grid.partner().tolist(), grid.count(0), grid.count(1)) == ([1, 0], 3, 2)
+
+
+N = 40
+NO_WORK = work(departure(0)).clear()
+BEFORE_ANY = np.zeros(N, dtype=bool)
+
+
+def status(observed: np.ndarray, otherwise: str = "predicted") -> pl.Series:
+    return pl.Series("s", np.where(observed, "ok", otherwise))
+
+
+@pytest.mark.parametrize("observed", [BEFORE_ANY, np.arange(N) < 10])
+@pytest.mark.parametrize("otherwise", UNOBSERVED)
+def test_a_prediction_that_drifts_past_the_limit_raises_nothing(observed, otherwise):
+    drift = features(np.linspace(0.0, 0.6, N)).with_columns(
+        status(observed, otherwise).alias("hx_fouling_status"), pl.lit(None, pl.Float64).alias("hx_fouling_flight"),
+        hx_passage_300=pl.Series(np.where(observed, 0.0, 0.99)), hx_fouling_step_3=pl.lit(0.0),
+    )  # fmt: skip
+    assert alerts(drift, NO_WORK)["diagnosis"].to_list() == []
+
+
+def test_wear_that_some_flights_show_is_told_though_others_say_nothing():
+    worn = features(np.where(np.arange(N) < 10, 0.0, 0.3)).with_columns(
+        status(np.arange(N) % 2 == 0).alias("hx_fouling_status"), hx_fouling_step_3=pl.lit(0.0)
+    )
+    assert alerts(worn, NO_WORK)["diagnosis"].to_list() == ["HX_FOULING"]
+
+
+def test_what_was_seen_of_the_last_unit_says_nothing_of_the_next():
+    observed = np.arange(N) < 20
+    worn = features(np.full(N, 0.3)).with_columns(
+        status(observed).alias("hx_fouling_status"),
+        pl.when(pl.Series(observed)).then("hx_fouling_flight").alias("hx_fouling_flight"),
+        hx_fouling_step_3=pl.lit(0.0),
+    )
+    cases = alerts(worn, work(departure(20), timed=True))
+    assert [flight < departure(20) for flight in cases["raised_at"]] == [True]
+
+
+@pytest.mark.parametrize("otherwise", UNOBSERVED)
+def test_the_loss_of_a_compressor_is_no_alert_until_it_was_seen(otherwise):
+    drift = features(np.zeros(N)).with_columns(
+        status(BEFORE_ANY, otherwise).alias("cc_efficiency_loss_status"),
+        cc_efficiency_loss=pl.lit(0.2), cc_efficiency_loss_sd=pl.lit(0.01),
+    )  # fmt: skip
+    assert alerts(drift, NO_WORK)["diagnosis"].to_list() == []
+    assert alerts(drift.drop("cc_efficiency_loss_status"), NO_WORK)["diagnosis"].to_list() == ["CC_DEGRADED"]
+
+
+@pytest.mark.parametrize(("loss_status", "raised"), [("ok", 1), *((s, 0) for s in UNOBSERVED)])
+def test_nor_is_that_of_a_declared_component(loss_status, raised):
+    component = next(c for c in components().values() if c.record is not None)
+    described = features(np.zeros(N)).with_columns(
+        component=pl.lit(component.code), loss=pl.lit(3.0 * component.warn_loss), loss_sd=pl.lit(0.01),
+        loss_status=pl.lit(loss_status), loss_slope_30_per_flight=pl.lit(0.0), loss_step_3=pl.lit(0.0),
+    )  # fmt: skip
+    assert raise_component_alerts(described, NO_WORK, component, Limits()).height == raised
+
+
+def test_flags_are_carried_from_the_last_flight_that_was_observed():
+    frame = features(np.zeros(6)).with_columns(
+        status(np.array([False, True, False, True, False, False])).alias("hx_fouling_status")
+    )
+    grid = Grid.from_frame(frame)
+    flags, ended = np.array([[1, 0, 1, 1, 0, 0]], dtype=bool), np.array([[0, 0, 0, 0, 0, 1]], dtype=bool)
+    assert grid.as_observed(flags, "hx_fouling", ended).astype(int).tolist() == [[0, 0, 0, 1, 1, 0]]

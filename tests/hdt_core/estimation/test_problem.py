@@ -1,4 +1,4 @@
-"""The question itself: beliefs, missing values, and one flight after another."""
+"""The question itself: beliefs, missing values, one flight after another; a batch answers as each problem alone."""
 
 from dataclasses import replace
 
@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, unknown
+from hdt_core.estimation.descent import gauss_newton
+from hdt_core.estimation.estimate import estimate_each
 from hdt_estimators import ParticleFilter
 
 SLOPE = np.random.default_rng(5).uniform(0.5, 2.0, 40)
@@ -100,3 +102,102 @@ def test_particles_carry_states_that_are_drawn():
         estimate = estimator.estimate(problem)
         assert abs(estimate.belief.mean[0] - 0.8) < 4.0 * estimate.belief.sd[0]
         assert estimate.belief.sd[0] < 0.15
+
+
+TIME = np.tile(np.linspace(0.0, 3.0, 12), 7)
+GROUP = np.repeat(np.arange(7), 12)
+NOISE = 0.02 * np.random.default_rng(3).standard_normal((84, 1))
+
+
+def decays(**more) -> Problem:
+    """Seven decays: two plain; a value missing; a misfit; none at all; a rate at its bound; hardly a decay."""
+    level, rate = (
+        np.repeat([2.0, 1.0, 1.5, 1.0, 0.0, 3.0, 1.0], 12),
+        np.repeat([1.0, 2.0, 0.7, 1.0, 0.0, 9.0, 0.01], 12),
+    )
+    measured = (level * np.exp(-rate * TIME))[:, None] + NOISE
+    measured[25] = np.nan
+    measured[36:48, 0] += 0.5 * np.cos(9.0 * TIME[36:48])
+    fields = {"names": ("level", "rate"), "bounds": np.array([[-9.0, 9.0], [-0.5, 5.0]]),
+              "prior": unknown(np.array([1.0, 1.0])), "measured": measured, "sigma": np.array([0.02]), "group": GROUP,
+              "observe": lambda _x, theta, i: (theta[0] * np.exp(-theta[1] * TIME[i]))[None]}  # fmt: skip
+    return Problem(**(fields | more))
+
+
+@pytest.mark.parametrize(
+    ("more", "open_ones"),
+    [
+        ({}, [4, 5]),
+        ({"prior": Belief(np.ones(2), np.diag([0.04, np.inf]))}, [4, 5]),
+        ({"bounds": np.array([[-9.0, 9.0], [1.0, 1.0]])}, []),
+    ],
+)
+def test_a_batch_is_its_problems_one_by_one(more, open_ones):
+    batch = decays(**more)
+    together = estimate_each(NonlinearLeastSquares(), batch)
+    assert (batch.n_problems, len(together)) == (7, 7)
+    for b, estimate in enumerate(together):
+        rows = b == GROUP
+        alone = replace(
+            batch, group=None, measured=batch.measured[rows],
+            observe=lambda _x, theta, i, t=TIME[rows]: (theta[0] * np.exp(-theta[1] * t[i]))[None],
+        )  # fmt: skip
+        single = NonlinearLeastSquares().estimate(alone)
+        assert (estimate.status, estimate.n_evals, estimate.weak) == (single.status, single.n_evals, single.weak)
+        np.testing.assert_allclose(estimate.belief.mean, single.belief.mean, rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(estimate.belief.sd, single.belief.sd, rtol=1e-6)
+        np.testing.assert_allclose(estimate.fit.residuals, single.fit.residuals, atol=1e-6)
+        assert (estimate.better is None) == (single.better is None)
+    assert [b for b, e in enumerate(together) if e.status == "weakly_identifiable"] == open_ones
+
+
+def test_where_the_model_fails_only_that_problem_diverges():
+    batch = decays(
+        observe=lambda _x, theta, i: np.where(GROUP[i] == 2, np.nan, theta[0] * np.exp(-theta[1] * TIME[i]))[None]
+    )
+    statuses = [e.status for e in estimate_each(NonlinearLeastSquares(), batch)]
+    assert [b for b, status in enumerate(statuses) if status == "diverged"] == [2]
+    assert statuses[:2] == ["converged"] * 2
+
+
+def test_a_method_without_a_batch_goes_one_by_one_from_the_last_that_converged():
+    starts: list = []
+
+    class Recorder:
+        name = "x"
+
+        def estimate(self, problem: Problem):
+            starts.append(problem.origin.tolist())
+            return ExtendedKalman().estimate(problem)
+
+    estimates = estimate_each(Recorder(), decays(prior=Belief(np.ones(2), np.diag([np.inf, 0.25]))))
+    previous = [1.0, 1.0]
+    for start, estimate in zip(starts, estimates, strict=True):
+        assert start == pytest.approx(previous)
+        if estimate.status == "converged":
+            previous = [estimate.belief.mean[0], 1.0]  # a prior stays what it is
+    assert starts[1] != starts[0]
+
+
+def test_reweighted_steps_are_hubers_location():
+    """Of each group: the weighted mean of ten, whose weights fall beyond 1.345 deviations from the last centre."""
+    y = np.array([0.0, 0.1, -0.2, 0.3, 9.0, 5.0, 5.1, 4.8, -3.0, 5.2])
+    group, sd = np.repeat([0, 1], 5), 0.3
+    batch = Problem(("centre",), np.array([[-99.0, 99.0]]), unknown(np.zeros(1)), y[:, None], np.array([sd]),
+                    lambda _x, theta, i: (theta[0] + 0.0 * i)[None], group=group)  # fmt: skip
+    weights = lambda residual: 1.0 / np.maximum(1.0, np.abs(residual) / 1.345)  # noqa: E731
+    theta, cov = gauss_newton(batch, np.array([[0.1], [5.0]]), 3, weights)
+    for b, centre in enumerate((0.1, 5.0)):
+        own = y[group == b]
+        for _ in range(3):
+            weight = 1.0 / np.maximum(1.0, np.abs(own - centre) / (1.345 * sd))
+            centre = (weight * own).sum() / weight.sum()  # noqa: PLW2901
+        np.testing.assert_allclose(theta[b, 0], centre, rtol=1e-9)
+        np.testing.assert_allclose(cov[b, 0, 0], sd**2 / weight.sum(), rtol=1e-6)
+
+
+def test_a_batch_has_no_states_and_every_sample_a_problem():
+    with pytest.raises(ValueError, match="without states"):
+        decays(transition=lambda x, _t, _i: x)
+    with pytest.raises(ValueError, match="every sample"):
+        decays(group=GROUP[:-1])

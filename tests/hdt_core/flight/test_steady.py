@@ -1,13 +1,17 @@
-"""Averages of a log, the slope test of its minutes, and steady snapshots."""
+"""Steady snapshots, windows about the log's entries, and legs of a declared component, at their edges."""
 
-from datetime import UTC, datetime, timedelta
+from dataclasses import replace
+from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.components import components
+from hdt_core.flight.component_legs import component_legs, component_samples
 from hdt_core.flight.quality import SIGNALS
 from hdt_core.flight.steady import DRIVERS, average_log, drift_free, steady_snapshots
+from hdt_core.flight.windows import AROUND_MAINTENANCE, AROUND_MESSAGE, baseline_flights, flag_windows, number_flights
 
 
 def log(drift: dict[str, float], seed: int = 4) -> pl.DataFrame:
@@ -106,3 +110,169 @@ def frozen_flags(signal: str, values: list[float], every_s: float, **more: objec
 def test_neighbours_of_another_phase_do_not_count_and_a_level_is_needed():
     assert frozen_flags("mach", [0.0, 0.5], 60, phase=["climb", "cruise"]) == [True, True]
     assert frozen_flags("mach", [0.0, 0.0], 60, level=[False, True]) == [False, True]
+
+
+START = datetime(2024, 3, 1, 6, tzinfo=UTC)
+
+
+def legs(n: int = 60) -> pl.DataFrame:
+    rows = [
+        {"operator": "AQX", "tail": tail, "pack": pack, "departed_at": START + timedelta(days=k)}
+        for tail in ("A", "B")
+        for pack in (1, 2)
+        for k in range(n)
+    ]
+    typed = pl.DataFrame(rows, schema_overrides={"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")})
+    return number_flights(typed.with_columns(pl.lit("x").alias("flight_id")))
+
+
+def worked(component: str, action: str = "REPLACED", on: date = date(2024, 3, 31)) -> pl.DataFrame:
+    return pl.DataFrame(
+        {"operator": ["AQX"], "tail": "A", "done_on": on, "pack": 2, "component": component, "action": action}
+    )
+
+
+def warned(code: str) -> pl.DataFrame:
+    return pl.DataFrame(
+        {"operator": ["AQX"], "tail": "A", "message_time": START + timedelta(days=30, hours=1), "pack": 1, "code": code}
+    )
+
+
+NO_WORK, NO_MESSAGE = worked("HX").clear(), warned("21-52-HXTEMP").clear()
+
+
+@pytest.mark.parametrize("component", AROUND_MAINTENANCE)
+def test_window_reaches_as_many_flights_as_declared_and_only_that_pack(component):
+    flagged = flag_windows(legs(), worked(component), NO_MESSAGE).filter("near_maintenance")
+    before, after = AROUND_MAINTENANCE[component]
+    assert flagged.select("tail", "pack").unique().rows() == [("A", 2)]
+    # flight 29 left on the 30th of March, the last before the entry
+    assert flagged["flight_number"].to_list() == list(range(29 - before, 29 + after + 1))
+
+
+def test_a_time_of_day_opens_the_window_at_that_time():
+    """The flight of six o'clock had left when the work was done at noon."""
+    noon = worked("HX").with_columns(done_at=pl.lit(datetime(2024, 3, 31, 12, tzinfo=UTC)))
+    flagged = flag_windows(legs(), noon, NO_MESSAGE).filter("near_maintenance")
+    before, after = AROUND_MAINTENANCE["HX"]
+    assert flagged["flight_number"].to_list() == list(range(30 - before, 30 + after + 1))
+
+
+@pytest.mark.parametrize("action", ["INSPECTED", "CLEANED"])
+def test_inspection_and_wash_open_no_window(action):
+    assert not flag_windows(legs(), worked("HX", action), NO_MESSAGE)["near_maintenance"].any()
+
+
+@pytest.mark.parametrize("code", ["21-52-HXTEMP", "21-51-CCFLOW"])
+def test_message_of_the_exchanger_or_compressor_opens_a_window(code):
+    flagged = flag_windows(legs(), NO_WORK, warned(code)).filter("near_message")
+    before, after = AROUND_MESSAGE[code[:5]]
+    assert flagged["flight_number"].to_list() == list(range(30 - before, 30 + after + 1))
+
+
+def test_nuisance_message_opens_none():
+    assert not flag_windows(legs(), NO_WORK, warned("21-61-TRIM"))["near_message"].any()
+
+
+@pytest.mark.parametrize("on", [date(2023, 1, 1), date(2025, 1, 1)])
+def test_entry_outside_the_record_flags_nothing(on):
+    flagged = flag_windows(legs(), worked("HX", on=on), NO_MESSAGE)
+    assert flagged.height == legs().height
+    assert flagged["near_maintenance"].sum() == 0
+
+
+def test_both_packs_share_their_flight_numbers():
+    counts = legs().group_by("tail", "departed_at").agg(pl.col("flight_number").n_unique())
+    assert set(counts["flight_number"]) == {1}
+
+
+def test_windows_and_milestones_on_paper():
+    assert AROUND_MAINTENANCE["RAM_DOOR"] == AROUND_MAINTENANCE["SENSOR"] == (15, 1)
+    assert AROUND_MESSAGE == {"21-52": (10, 5), "21-51": (10, 5)}
+    first = legs(400).filter(pl.col("tail") == "A", pl.col("pack") == 1)
+    first = first.with_columns(flight_id=pl.col("flight_number").cast(pl.String).str.zfill(3))
+    for n_flights, reached in (
+        (9, 9),
+        (10, 10),
+        (19, 10),
+        (20, 20),
+        (40, 40),
+        (79, 40),
+        (80, 80),
+        (159, 80),
+        (400, 160),
+    ):
+        assert baseline_flights(first.head(n_flights).reverse()) == [f"{k:03d}" for k in range(reached)]
+
+
+@pytest.mark.parametrize(("days", "reached"), [(21, True), (22, False)])
+def test_an_entry_concerns_flights_of_three_weeks_before(days, reached):
+    late = worked("HX", on=(START + timedelta(days=59 + days)).date())
+    assert flag_windows(legs(), late, NO_MESSAGE)["near_maintenance"].any() == reached
+
+
+HXT = components()["HXT"]
+MORNING, MINUTE = datetime(2024, 3, 1, 6, tzinfo=UTC), timedelta(minutes=1)
+FLOWN = {"hot_in_k": 400.0, "hot_out_k": 300.0, "tat_k": 250.0, "altitude_m": 10_000.0, "mach": 0.8, "fan_rad_s": 300.0}
+
+
+def signals(rows: int = 6, code: str = "HXT", **changed: object) -> pl.DataFrame:
+    """A flight's signals in the long form; a signal whose value is None is not recorded."""
+    recorded = FLOWN | changed
+    own = {"operator": "TST", "tail": "T", "flight_id": "F", "pack": 1, "component": code}
+    lines = [
+        own
+        | {"signal": name, "value": value[k] if isinstance(value, list) else value, "time_utc": MORNING + k * MINUTE}
+        for name, value in recorded.items()
+        for k in range(rows)
+    ]
+    frame = pl.DataFrame(lines, schema_overrides={"value": pl.Float64, "pack": pl.Int32})
+    return frame.filter(pl.col("value").is_not_null())
+
+
+def leg(component=HXT, **changed: object) -> dict[str, object]:
+    return component_legs(component_samples(signals(**changed), component), component).row(0, named=True)
+
+
+def test_a_leg_of_six_samples_speaks():
+    row = leg()
+    assert (row["reason"], row["component"], row["n_samples"], row["n_nominal"]) == ("", "HXT", 6, 6)
+    assert row["departed_at"] == MORNING
+    wide = component_samples(pl.concat([signals(), signals(code="OTHER", mach=0.1)]), HXT)
+    assert wide["mach"].to_list() == [0.8] * 6
+    assert wide["ram_exit_open"].null_count() == 6
+
+
+@pytest.mark.parametrize(("slow", "reason"), [(1, ""), (2, "FEW_SAMPLES")])
+def test_five_nominal_samples_are_enough(slow, reason):
+    row = leg(mach=[0.15] * slow + [0.151] * (6 - slow))
+    assert (row["n_nominal"], row["reason"]) == (6 - slow, reason)
+
+
+def test_a_channel_that_is_needed_is_missed_and_another_not():
+    assert leg(hot_out_k=None)["reason"] == "NOT_RECORDED"
+    assert leg(fan_rad_s=None)["reason"] == ""
+    assert leg(hot_out_k=[300.0] + [None] * 5)["reason"] == "FEW_SAMPLES"
+    needed = tuple(replace(c, needed=c.needed or c.signal == "fan_rad_s") for c in HXT.record.channels)
+    unit = replace(HXT, record=replace(HXT.record, channels=needed))
+    assert leg(unit, fan_rad_s=None)["reason"] == ""  # the model has all it takes
+
+
+@pytest.mark.parametrize(("harmful", "reason"), [(0.009, "UNSTEADY"), (0.011, "")])
+def test_a_signal_that_drifts_faster_than_it_may_is_unsteady(harmful, reason):
+    """A kelvin every hundred seconds."""
+    drifting = [replace(c, harmful_per_s=harmful) if c.signal == "tat_k" else c for c in HXT.record.channels]
+    unit = replace(HXT, record=replace(HXT.record, channels=tuple(drifting)))
+    tat = [250.0 + 0.6 * k + 0.001 * (k % 2) for k in range(6)]
+    assert leg(unit, tat_k=tat)["reason"] == reason
+
+
+def test_a_component_of_the_packs_record_has_no_samples_of_its_own():
+    with pytest.raises(ValueError, match="HX has no record"):
+        component_samples(signals(), components()["HX"])
+
+
+def test_legs_come_in_order_of_departure():
+    later = signals().with_columns(flight_id=pl.lit("A"), time_utc=pl.col("time_utc") + timedelta(hours=9))
+    wide = component_samples(pl.concat([later, signals()]), HXT)
+    assert component_legs(wide, HXT)["flight_id"].to_list() == ["F", "A"]

@@ -1,4 +1,4 @@
-"""First passage: against its formula in plain Python and against lives drawn one by one."""
+"""First passage by its formula and by lives drawn one by one; what a pack's flights asked of late; reference air."""
 
 from itertools import pairwise
 from math import exp, hypot, sqrt
@@ -8,8 +8,10 @@ import numpy as np
 import polars as pl
 import pytest
 
+from hdt_core.margin.conditions import DEMAND_NAMES, demand_quantiles, repeated_demand
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K
 from hdt_core.margin.first_passage import PASSAGES, passage, passages, wear_rate
+from hdt_core.margin.reference_air import hot_day_tat_k, reference_air
 
 WEIGHTS = (0.65, 0.2, 0.075, 0.04, 0.025, 0.01)
 """Flights that the quantiles .5, .8, .9, .95, .98 and 1 stand for: to half the way to the next."""
@@ -112,3 +114,68 @@ def test_no_flight_no_passage():
         pl.lit(0.0).alias(n) for n in CRITICAL[:5]
     )
     assert passages(none, demand).columns == ["operator", "tail", "flight_id", "pack", *PASSAGES]
+
+
+def of_flight(critical: np.ndarray, flight: int) -> list[float]:
+    values = demand_quantiles(critical[None, :], np.array([0]), np.array([flight]))
+    assert tuple(values) == DEMAND_NAMES
+    return [float(values[name][0]) for name in DEMAND_NAMES]
+
+
+def test_quantiles_of_150_flights_and_of_40_and_the_trend_over_100():
+    critical = np.random.default_rng(4).permutation(400) / 100.0
+    window, recent = np.sort(critical[201:351]), np.sort(critical[311:351])
+    quantiles = [window[i] for i in (74, 119, 134, 142, 146, 149)] + [recent[i] for i in (20, 35)]
+    trend = critical[311:351].mean() - critical[211:251].mean()
+    assert of_flight(critical, 350) == pytest.approx([*quantiles, trend])
+
+
+def test_no_trend_before_140_flights():
+    critical = np.where(np.arange(200) < 40, 0.0, 1.0)
+    assert of_flight(critical, 138)[-1] == 0.0
+    assert of_flight(critical, 139)[-1] == 1.0
+
+
+def test_few_flights_stand_for_the_window_and_a_gap_for_the_flight_before():
+    critical = np.array([np.nan, 3.0, np.nan, 1.0, 5.0])
+    assert np.isnan(of_flight(critical, 0)).all()
+    assert of_flight(critical, 1) == [3.0] * 8 + [0.0]
+    # 3, 3, 1, 5 over and over
+    assert of_flight(critical, 4) == [3.0, 5.0, 5.0, 5.0, 5.0, 5.0, 3.0, 5.0, 0.0]
+
+
+def test_packs_are_told_apart_and_later_flights_do_not_count():
+    critical = np.array([[1.0, 2.0, 9.0], [np.nan, 7.0, 8.0]])
+    most = demand_quantiles(critical, np.array([0, 1, 1]), np.array([1, 0, 1]))["asked_100"]
+    assert most.tolist() == pytest.approx([2.0, np.nan, 7.0], nan_ok=True)
+
+
+def test_two_hot_flights_of_some_ask_for_the_lower_of_them():
+    critical = np.array([[-0.5, -0.1, -0.4, -0.3, -0.9, -0.2]])
+    assert repeated_demand(critical)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
+    assert repeated_demand(critical, of=4)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
+    assert repeated_demand(critical, of=2)[0, 1:].tolist() == [-0.5, -0.4, -0.4, -0.9, -0.9]
+    assert np.isnan(repeated_demand(critical)[0, 0])
+    assert repeated_demand(critical, of=1).tolist() == critical.tolist()
+
+
+RAM_K = 1.0 + 0.2 * 0.84**2
+
+
+def test_reference_cruise_is_11_km_at_mach_84():
+    air = {name: values.tolist() for name, values in reference_air(2).items()}
+    assert air["altitude_m"] == [11_000.0] * 2
+    assert air["mach"] == [0.84] * 2
+    assert air["tat_k"] == pytest.approx([216.65 * RAM_K] * 2)
+    assert air["total_pressure_pa"] == pytest.approx([22_632.0 * RAM_K**3.5] * 2, rel=1e-4)
+
+
+def test_another_level_has_its_own_pressure():
+    static_pa = 22_632.0 * np.exp(-9.80665 * (12_497.0 - 11_000.0) / (287.053 * 216.65))
+    assert reference_air(1, 12_497.0)["total_pressure_pa"][0] == pytest.approx(static_pa * RAM_K**3.5, rel=1e-4)
+
+
+def test_hot_day_is_15_k_above_the_standard():
+    standard_k = 288.15 - 0.0065 * 9000.0
+    hot = hot_day_tat_k(np.array([9000.0]), np.array([0.8]))
+    assert hot[0] == pytest.approx((standard_k + 15.0) * (1.0 + 0.2 * 0.8**2))

@@ -1,10 +1,16 @@
-"""The compressor: closed forms against the equations they solve, and what cannot be told apart."""
+"""Air against references; the compressor's closed forms against its equations; the tables of docs/errata.md."""
 
+import re
+from pathlib import Path
+
+import ambiance
 import numpy as np
 import pytest
+from coolprop import PropsSI
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hdt_core.physics import air
 from hdt_core.physics.compressor import (
     COMPRESSOR,
     area_diameter_tan_beta_m3,
@@ -15,11 +21,12 @@ from hdt_core.physics.compressor import (
     isentropic_efficiency,
     pressure_ratio,
 )
+from hdt_core.physics.heat_exchanger import outlets_k
+from hdt_core.physics.lumped_exchanger import tied_coefficient_w_k
 
 RPM = np.pi / 30.0
 speeds = st.floats(1000.0, 4500.0)
 inlets_k = st.floats(230.0, 310.0)
-
 CRUISE_TABLE = [  # inlet K, kPa, exit kPa, rpm at D 0.1731 m, exit degC, kW; efficiency 0.75, 0.42 kg/s
     (292.0, 105.7, 121.6, 12060.0, 35.0, 7.0),
     (260.0, 45.3, 96.6, 27700.0, 70.0, 35.0),
@@ -114,3 +121,120 @@ def test_declared_model_is_the_equations():
 
 def test_no_diameter_where_the_pressure_falls():
     assert np.isnan(effective_diameter_m(1.0, 0.9, 250.0, 3000.0))
+
+
+def test_specific_heat_agrees_with_coolprop():
+    temperature_k = np.linspace(215.0, 500.0, 20)
+    expected = [PropsSI("Cp0mass", "T", t, "P", 1e5, "Air") for t in temperature_k]
+    np.testing.assert_allclose(air.specific_heat_j_kg_k(temperature_k), expected, rtol=4e-4)
+
+
+def test_density_agrees_with_coolprop():
+    for pressure_pa, temperature_k in [(26e3, 230.0), (101325.0, 288.15), (250e3, 400.0)]:
+        expected = PropsSI("D", "T", temperature_k, "P", pressure_pa, "Air")
+        assert air.density_kg_m3(pressure_pa, temperature_k) == pytest.approx(expected, rel=2e-3)
+
+
+def test_atmosphere_agrees_with_ambiance():
+    """`ambiance` takes geometric height, an altimeter gives geopotential height."""
+    geometric_m = np.linspace(-500.0, 19900.0, 60)
+    standard = ambiance.Atmosphere(geometric_m)
+    pressure_altitude_m = ambiance.Atmosphere.geom2geop_height(geometric_m)
+    np.testing.assert_allclose(air.standard_pressure_pa(pressure_altitude_m), standard.pressure, rtol=2e-6)
+    np.testing.assert_allclose(air.standard_temperature_k(pressure_altitude_m), standard.temperature, rtol=1e-7)
+    density = air.density_kg_m3(standard.pressure, standard.temperature)
+    np.testing.assert_allclose(density, standard.density, rtol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("altitude_m", "pressure_pa"),
+    [(0.0, 101325.0), (5000.0, 54019.9), (11000.0, 22632.0), (15000.0, 12044.5), (20000.0, 5474.88)],
+)
+def test_atmosphere_tables(altitude_m, pressure_pa):
+    """ICAO Doc 7488/3, geopotential altitude."""
+    assert air.standard_pressure_pa(altitude_m) == pytest.approx(pressure_pa, rel=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("mach", "pressure", "temperature"), [(0.5, 0.8430, 0.9524), (0.8, 0.6560, 0.8865), (1.0, 0.5283, 0.8333)]
+)
+def test_isentropic_tables(mach, pressure, temperature):
+    """NACA Report 1135, table I: static over total."""
+    assert 1.0 / air.total_to_static_pressure(mach) == pytest.approx(pressure, abs=5e-5)
+    assert 1.0 / air.total_to_static_temperature(mach) == pytest.approx(temperature, abs=5e-5)
+
+
+def test_mach_comes_back_from_its_pressures():
+    mach = np.linspace(0.05, 0.95, 19)
+    np.testing.assert_allclose(air.mach_from_pressures(air.total_to_static_pressure(mach), 1.0), mach, rtol=1e-12)
+    assert air.mach_from_pressures(0.99, 1.0) == 0.0
+
+
+def test_warmed_air_holds_its_heat_to_a_tenth_of_a_billionth_of_a_kelvin():
+    """Specific heat is a parabola about 300 K, its mean that of Simpson's rule."""
+    to_k = air.warmed_k(220.0, 2.5e5)
+    at = np.array([220.0, 0.5 * (220.0 + to_k), to_k]) - 300.0
+    one, middle, other = 1004.66 + 0.05216 * at + 3.556e-4 * at**2
+    assert 2.5e5 / ((one + 4.0 * middle + other) / 6.0) == pytest.approx(to_k - 220.0, abs=1e-10)
+
+
+ERRATA = (Path(__file__).parents[3] / "docs" / "errata.md").read_text(encoding="utf-8")
+
+
+def rows(heading: str) -> list[list[float]]:
+    """Numbers of the table whose header begins like this."""
+    table = ERRATA[ERRATA.index(f"| {heading}") :].split("\n\n")[0].splitlines()[2:]
+    cells = [line.replace(",", "").strip("| ").split("|") for line in table]
+    return [[float(re.findall(r"-?\d+\.?\d*", cell)[-1]) for cell in row] for row in cells]
+
+
+@pytest.mark.parametrize("row", rows("ram flow, kg/s"), ids=lambda r: f"ram {r[0]}")
+def test_tied_h_of_a_cross_flow_exchanger(row):
+    ram, *printed, last_ua = row
+    at = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": ram, "hot_in_k": 390.0, "cold_in_k": 250.0}
+
+    def h(ua):
+        return tied_coefficient_w_k(**at, hot_out_k=outlets_k(0.9, ram, 390.0, 250.0, ua)[0])
+
+    np.testing.assert_allclose([h(ua) for ua in (800.0, 1200.0, 1600.0)], printed, rtol=1e-3)
+    assert h(last_ua - 1.0) > 0.0 > h(last_ua + 1.0)
+
+
+@pytest.mark.parametrize("row", rows("range of VDA"), ids=lambda r: f"to {r[0]:.0f}")
+def test_diameter_and_fit_of_equation_6(row):
+    """The range is printed 0-N, so its number reads as -N."""
+    top, diameter, r_squared = abs(row[0]), row[1], row[2]
+    assert expected_diameter_m(top, 0.1731, -2.9304e-5) == pytest.approx(diameter, abs=5e-5)
+    explained, left = (2.9304e-5 * top) ** 2 / 12.0, 0.0055**2 * np.pi / 2.0
+    assert explained / (explained + left) == pytest.approx(r_squared, abs=5e-3)
+
+
+RESIMULATED = re.findall(
+    r"\| (UKF|EKF|PSO|NLS) \| ([\d.]+), ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|", ERRATA
+)
+
+
+def positions_m(damping, stiffness):
+    """Section 3.2.2 by the book: Euler's rule from rest, 1,001 samples at 0.01 s, 1 kg, sin(pi t) N."""
+    x, v, positions = 0.0, 0.0, []
+    for k in range(1001):
+        positions.append(x)
+        x, v = x + 0.01 * v, v + 0.01 * (np.sin(np.pi * 0.01 * k) - damping * v - stiffness * x)
+    return np.array(positions)
+
+
+@pytest.mark.parametrize("row", RESIMULATED, ids=lambda row: row[0])
+def test_table_2_is_not_computed_from_table_1(row):
+    """What the page gives for the printed parameters is what they simulate, and not what table 2 prints."""
+    damping, stiffness, printed_mse, mse, printed_mape, mape = map(float, row[1:])
+    truth = positions_m(0.5, 2.0)
+    off = np.abs(positions_m(damping, stiffness) - truth)
+    assert np.mean(off**2) == pytest.approx(mse, rel=5e-3, abs=1e-12)
+    assert np.mean(off[truth != 0.0] / np.abs(truth[truth != 0.0])) == pytest.approx(mape, rel=5e-3, abs=1e-9)
+    rounded = [positions_m(damping + c, stiffness + k) for c in (-5e-4, 5e-4) for k in (-5e-4, 5e-4)]
+    assert max(np.mean((x - truth) ** 2) for x in rounded) < 0.75 * printed_mse
+    assert abs(mape - printed_mape) > 0.1 * printed_mape
+
+
+def test_all_four_columns_of_the_table_are_there():
+    assert [row[0] for row in RESIMULATED] == ["UKF", "EKF", "PSO", "NLS"]

@@ -1,19 +1,251 @@
-"""Survival arithmetic against cases with a known answer."""
+"""Survival arithmetic and scores in numbers that can be checked on paper: risk sets, limits, corrections, bounds."""
 
 import numpy as np
+import polars as pl
 import pytest
+from scipy.optimize import minimize
 
+from benchmarks.prognosis import calibration
+from benchmarks.real.censored import life_bounds
+from hdt_core.components import Limit
+from hdt_core.prognosis.component_life import first_passage, learn_limit
+from hdt_core.prognosis.feature_rows import PRIOR_RULES
 from hdt_core.prognosis.hazard import (
     EDGES,
     SPANS,
     _by_tree,
     _row_by_row,
+    at_risk,
     event_by,
     fit_hazard,
     hazards,
     position,
     quantile,
+    with_span,
 )
+from hdt_core.prognosis.metrics import (
+    alpha_lambda,
+    auc,
+    brier_skill,
+    constant_interval_score,
+    interval_score,
+    score_prognoses,
+)  # fmt: skip
+from hdt_core.prognosis.recalibrate import HazardCorrection, learn_correction, learn_levels
+
+SPAN_ENDS = [5, 10, 15, 20, 30, 40, 50, 65, 80, 100, 125, 150, 175, 200, 250, 300]
+
+
+def test_spans_are_as_told():
+    assert EDGES.tolist() == [0, *SPAN_ENDS]
+
+
+@pytest.mark.parametrize(
+    ("left", "failed", "exposure", "hit"),
+    [
+        (12.0, True, [1.0, 1.0, 1.0], 2),  # the event falls in the third span
+        (10.0, True, [1.0, 1.0], 1),  # an end belongs to its span
+        (12.0, False, [1.0, 1.0, 0.4], None),  # cut after two fifths of the third
+        (10.0, False, [1.0, 1.0], None),
+        (400.0, True, [1.0] * 16, None),
+        (0.0, True, [], None),
+    ],
+)
+def test_a_row_is_at_risk_until_its_event_or_its_cut(left, failed, exposure, hit):
+    row, span, hits, weight = at_risk(np.array([left]), np.array([failed]))
+    assert not row.any()
+    assert span.tolist() == list(range(len(exposure)))
+    np.testing.assert_allclose(weight, exposure)
+    assert np.flatnonzero(hits).tolist() == ([] if hit is None else [hit])
+
+
+def test_the_event_has_come_by_a_span_unless_all_were_survived():
+    hazard = np.full((1, SPANS), 0.1)
+    np.testing.assert_allclose(event_by(hazard)[0], 1.0 - 0.9 ** np.arange(SPANS + 1))
+    np.testing.assert_allclose(with_span(np.array([[7.0]]), np.array([2])), [[7.0, 15.0]])
+
+
+def test_quantile_and_position_are_linear_between_edges():
+    by = np.array([[0.0, 0.2, 0.4, *[0.8] * 14]])
+    assert quantile(by, 0.1)[0] == pytest.approx(2.5, rel=1e-6)
+    assert quantile(by, 0.3)[0] == pytest.approx(7.5, rel=1e-6)
+    assert quantile(by, 0.9)[0] == 300.0
+    assert quantile(np.zeros((1, 17)) + 0.5, 0.1)[0] == 0.0
+    for left, at in ((0.0, 0.0), (2.5, 0.1), (5.0, 0.2), (7.5, 0.3), (12.5, 0.6), (400.0, 0.8)):
+        assert position(by, np.array([left]))[0] == pytest.approx(at)
+
+
+@pytest.fixture(scope="module")
+def learned():
+    """Units that fail the sooner the higher their first feature, and two models of them."""
+    rng = np.random.default_rng(0)
+    features = rng.uniform(-1.0, 1.0, (800, 2))
+    left = rng.exponential(60.0 * np.exp(-features[:, 0]))
+    return [fit_hazard(features, left, np.ones(800, bool), seed, rises=(1, 0)) for seed in (0, 1)]
+
+
+def test_hazards_are_the_mean_of_models_that_may_only_rise(learned):
+    grid = np.column_stack([np.linspace(-1, 1, 21), np.zeros(21)])
+    each = [hazards([m], grid) for m in learned]
+    np.testing.assert_allclose(hazards(learned, grid), (each[0] + each[1]) / 2.0)
+    assert (np.diff(each[0], axis=0) >= 0.0).all()
+    assert (each[0][-1] > 1.5 * each[0][0]).all()
+    assert np.abs(each[0] - each[1]).max() > 0.0
+
+
+def test_the_learner_is_as_declared(learned):
+    """Small trees, many rows a leaf, no early stop: chosen on simulated fleets, so a change wants them flown again."""
+    chosen = {
+        "max_iter": 150, "learning_rate": 0.08, "max_leaf_nodes": 12, "min_samples_leaf": 400, "max_features": 0.4,
+        "l2_regularization": 1.0, "early_stopping": False, "monotonic_cst": [1, 0, 0], "random_state": 1,
+    }  # fmt: skip
+    params = learned[1].get_params()
+    assert {name: params[name] for name in chosen} == chosen
+    assert learned[1].n_features_in_ == 3
+
+
+def test_a_limit_is_the_normal_posterior_with_hubers_weights():
+    """Losses of 0.2, 0.22 and one far off at 0.5, units 0.05 apart; the prior is 0.25 +- 0.06."""
+    prior = Limit(0.25, 0.06, 0.05)
+    assert PRIOR_RULES["CC"] == prior
+    levels = np.array([0.20, 0.22, np.nan, 0.5])
+    middle = (0.22 + 0.25) / 2.0
+    weight = np.array([1.0, 1.0, 1.5 * 0.05 / (0.5 - middle)])
+    precision = 1.0 / 0.06**2 + weight.sum() / 0.05**2
+    limit = learn_limit(levels, prior)
+    assert limit.mean == pytest.approx((0.25 / 0.06**2 + weight @ [0.20, 0.22, 0.5] / 0.05**2) / precision)
+    assert limit.sd == pytest.approx(precision**-0.5)
+    assert limit.unit_sd == 0.05
+    assert learn_limit(np.array([np.nan]), prior) == prior
+
+
+def test_first_passage_is_that_of_lines_drawn_at_random():
+    """Plain Monte Carlo: loss, rate and limit normal; a unit known to fly has its limit above what it has lost."""
+    rng, n = np.random.default_rng(1), 100_000
+    loss, rate, limit = (m + s * rng.standard_normal(n) for m, s in ((0.1, 0.02), (1e-3, 4e-4), (0.25, 0.06)))
+    passed = loss + rate * EDGES[:, None] > limit
+    args = [np.array([v]) for v in (0.1, 0.02, 1e-3, 4e-4)]
+    p_event = first_passage(*args, (np.array([0.25]), np.array([0.06])), np.array([False]))
+    np.testing.assert_allclose(p_event[0], passed.mean(1), atol=0.006)
+    alive = first_passage(*args, (np.array([0.25]), np.array([0.06])), np.array([True]))[0]
+    np.testing.assert_allclose(alive, (p_event[0] - p_event[0, 0]) / (1.0 - p_event[0, 0]), rtol=1e-12)
+    still = first_passage(*args[:2], -args[2], 0.0 * args[3], (np.array([0.25]), np.array([0.06])), np.array([False]))
+    np.testing.assert_allclose(still, p_event[0, 0])
+
+
+def terms(end: np.ndarray, reserve: float, odds: np.ndarray) -> np.ndarray:
+    """One; near the next flights; reserve between -0.2 and 0.6 about 0.2; odds about -3, after fifty flights."""
+    late = np.where(end > 50.0, odds + 3.0, 0.0)
+    return np.stack([np.ones_like(odds), np.exp(-end / 50.0), np.clip(reserve, -0.2, 0.6) - 0.2 + 0 * odds, late], -1)
+
+
+@pytest.mark.parametrize(("reserve", "counts_as"), [(0.35, 0.35), (1.0, 0.6), (-1.0, -0.2), (np.nan, 0.2)])
+def test_a_correction_shifts_the_log_odds(reserve, counts_as):
+    hazard, weights = np.linspace(0.02, 0.5, SPANS)[None, :], np.array([0.3, -0.2, 0.5, 0.4])
+    odds = np.log(hazard / (1.0 - hazard))
+    shifted = odds + terms(EDGES[None, 1:], counts_as, odds) @ weights
+    corrected = HazardCorrection(tuple(weights))(hazard, np.array([reserve]))
+    np.testing.assert_allclose(corrected, 1.0 / (1.0 + np.exp(-shifted)))
+
+
+def test_a_correction_is_the_maximum_a_posteriori():
+    """Rows of one life share its weight; the prior says no correction, within 0.5, 0.3, 0.5 and 0.3."""
+    rng = np.random.default_rng(3)
+    n, life = 60, np.repeat(np.arange(15), 4)
+    left, failed = rng.exponential(40.0, n), rng.random(n) < 0.7
+    hazard, reserve = rng.uniform(0.02, 0.3, (n, SPANS)), rng.uniform(-0.1, 0.5, n)
+    rows, hits, weights, x, offset = [], [], [], [], []
+    for k in range(n):
+        for j in range(SPANS):
+            start, end = EDGES[j], EDGES[j + 1]
+            if left[k] <= start:
+                break
+            hit = failed[k] and left[k] <= end
+            rows.append(k)
+            hits.append(hit)
+            weights.append((1.0 if hit else min(1.0, (left[k] - start) / (end - start))) * 15 / 60)
+            offset.append(np.log(hazard[k, j] / (1.0 - hazard[k, j])))
+            x.append(terms(np.array(end), reserve[k], np.array(offset[-1])))
+    hits, weights, x, offset = (np.array(v) for v in (hits, weights, x, offset))
+
+    def cost(w):
+        chance = 1.0 / (1.0 + np.exp(-(offset + x @ w)))
+        prior = 0.5 * ((w / [0.5, 0.3, 0.5, 0.3]) ** 2).sum()
+        return prior - (weights * np.log(np.where(hits, chance, 1.0 - chance))).sum()
+
+    want = minimize(cost, np.zeros(4), method="BFGS").x
+    np.testing.assert_allclose(learn_correction(hazard, reserve, left, failed, life).weights, want, atol=2e-4)
+
+
+def test_levels_are_kaplan_and_meiers():
+    """Ten events spread evenly over the scale, one more life cut in the middle; twenty failed lives are the prior's."""
+    by = np.broadcast_to(np.r_[0.0, np.cumsum(np.diff(EDGES)) / 300.0], (11, SPANS + 1))
+    left = np.r_[30.0 * np.arange(1, 11), 155.0]
+    failed = np.arange(11) < 10
+    alive, steps = 1.0, []
+    for at in np.sort(left):
+        risk = (left >= at).sum()
+        alive *= 1.0 - (1.0 / risk if failed[left == at].any() else 0.0)
+        steps.append((at / 300.0, 1.0 - alive))
+    own = [next(at for at, reached in steps if reached >= level - 1e-12) for level in (0.05, 0.5, 0.95)]
+    levels = learn_levels(by, left, failed, np.arange(11), prior=(0.04, 0.52, 0.97))
+    np.testing.assert_allclose(levels, [(10 * o + 20 * p) / 30 for o, p in zip(own, (0.04, 0.52, 0.97), strict=True)])
+    # where nearly all were cut the upper level is never reached: it is the end of the scale
+    cut = learn_levels(by, left, np.arange(11) < 3, np.arange(11), prior=(0.04, 0.52, 0.97))
+    assert cut[2] == pytest.approx((3 * 1.0 + 20 * 0.97) / 23)
+    # a life of which several rows failed is one; an event after the horizon is none
+    late = learn_levels(by, np.where(failed, left + 301.0, left), failed, np.arange(11), prior=(0.04, 0.52, 0.97))
+    assert late == (0.04, 0.52, 0.97)
+    one = learn_levels(by, left, failed, np.zeros(11, int), prior=(0.04, 0.52, 0.97))
+    np.testing.assert_allclose(one, [(o + 20 * p) / 21 for o, p in zip(own, (0.04, 0.52, 0.97), strict=True)])
+
+
+def test_bounds_of_a_life_are_order_statistics():
+    """All were watched alike: a tenth looks first, of the others' 360 the 18th from either end."""
+    lives = np.random.default_rng(0).permutation(np.arange(1.0, 401.0))
+    bounds = life_bounds(lives, np.ones(400, bool), np.full(400, 500.0))
+    rest = np.sort(np.delete(lives, np.arange(0, 400, 10)))
+    assert (bounds.low, bounds.high) == (rest[17], rest[342])
+    # most lives are not over by the end of the record: a bound from below alone
+    short = life_bounds(np.minimum(lives, 300.0), lives < 300.0, np.full(400, 300.0))
+    rest = np.sort(np.minimum(np.delete(lives, np.arange(0, 400, 10)), 300.0))
+    assert (short.low, short.high) == (rest[35], np.inf)
+    # an upper end needs nineteen of twenty to be over, of those that look first
+    for over, two_sided in ((37, False), (38, True)):
+        late = np.where((np.arange(400) % 10 == 0) & (np.arange(400) // 10 >= over), 1000.0, lives)
+        assert np.isfinite(life_bounds(late, late < 500.0, np.full(400, 1000.0)).high) == two_sided
+
+
+@pytest.mark.parametrize(("n", "taken"), [(1000, 400), (300, 200), (40, 40)])
+def test_units_watched_longest_are_a_fair_sample(n, taken):
+    """Two hundred at least, two fifths of all: of 1,000 the 400 that could have been watched for longest."""
+    watched = np.arange(1.0, n + 1.0) + 1000.0
+    lives = np.random.default_rng(2).uniform(0.0, 1000.0, n)
+    bounds = life_bounds(lives, np.ones(n, bool), watched)
+    rest = np.sort(np.delete(lives[-taken:], np.arange(0, taken, 10)))
+    first = int(np.floor(0.05 * (rest.size + 1)))
+    assert bounds == (rest[first - 1] if first else 0.0, rest[rest.size - first])
+    with pytest.raises(ValueError, match="longer than its unit"):
+        life_bounds(watched + 1.0, lives < watched, watched)
+
+
+def test_where_units_leave_for_other_reasons_lives_are_weighed_by_the_chance_to_be_watched():
+    """Without any that left these are plain order statistics of the half that is not used for weights."""
+    lives = np.random.default_rng(1).permutation(np.arange(1.0, 401.0))
+    bounds = life_bounds(lives, np.ones(400, bool))
+    half = np.sort(lives[1::2])
+    assert bounds.low == half[int(np.floor(0.05 * 201 + 1e-9)) - 1]
+    assert bounds.high == half[int(np.ceil(0.95 * 201 - 1e-9)) - 1]
+    # half of them leave at 150: whoever ends later stands for about two
+    cut = np.where(np.arange(400) % 4 < 2, np.minimum(lives, 150.5), lives)
+    weighed, others = life_bounds(cut, cut == lives), cut[::2]
+    stay = 1.0 - (others == 150.5).sum() / (others >= 150.5).sum()
+    sample = np.sort(cut[1::2][cut[1::2] == lives[1::2]])
+    mass = np.cumsum(np.where(sample > 150.5, 1.0 / stay, 1.0)) / 201.0
+    assert weighed.low == sample[np.flatnonzero(mass <= 0.05)[-1]]
+    assert weighed.high == sample[np.flatnonzero(mass >= 0.95)[0]]
+    with pytest.raises(ValueError, match="no life ended"):
+        life_bounds([1.0, 2.0], [False, False])
 
 
 def test_position_undoes_quantile():
@@ -40,3 +272,49 @@ def test_trees_asked_once_a_cut_say_what_each_row_and_span_asked_alone_says():
     model = fit_hazard(np.log(rate)[:, None], rng.exponential(1.0 / rate), np.ones(4000, bool), seed=0)
     features = np.where(rng.random((500, 1)) < 0.1, np.nan, np.log(rng.choice(rate, (500, 1))))
     assert np.array_equal(_by_tree(model, features, EDGES[1:]), _row_by_row(model, features, EDGES[1:]))
+
+
+def test_interval_score_is_proper():
+    truth = np.random.default_rng(0).standard_normal(20000)
+    honest = interval_score(truth, np.full_like(truth, -1.645), np.full_like(truth, 1.645)).mean()
+    for half in (0.8, 1.2, 2.2, 3.0):
+        assert interval_score(truth, np.full_like(truth, -half), np.full_like(truth, half)).mean() > honest
+    assert constant_interval_score(truth) == pytest.approx(honest, rel=0.01)
+
+
+def test_base_rate_has_no_skill_and_certainty_has_all():
+    y = np.array([1.0, 0.0, 0.0, 0.0])
+    assert brier_skill(y, np.full(4, 0.25)) == pytest.approx(0.0)
+    assert brier_skill(y, y) == 1.0
+
+
+def test_auc_counts_pairs():
+    assert auc([1, 1, 0, 0], [0.9, 0.4, 0.5, 0.1]) == 0.75
+    assert auc([1, 0], [0.5, 0.5]) == 0.5
+
+
+def test_alpha_lambda():
+    truth, forecast = np.array([100.0, 50.0, 10.0, 1.0]), np.array([150.0, 55.0, 11.0, 1.0])
+    assert alpha_lambda(truth, forecast) == 0.75
+
+
+def test_calibration_of_honest_probabilities():
+    rng = np.random.default_rng(1)
+    p = rng.random(50000)
+    table = calibration(rng.random(50000) < p, p)
+    np.testing.assert_allclose(table["observed"], table["predicted"], atol=0.03)
+
+
+def test_where_every_unit_outlived_the_figures_of_failures_are_left_out():
+    prognoses = pl.DataFrame(
+        {
+            "remaining": [320.0, 400.0],
+            "rul_flights": [280.0, 300.0],
+            "rul_low": [150.0, 200.0],
+            "rul_high": [300.0, 300.0],
+        }
+    ).with_columns(failed=False, life=pl.Series([0, 1]), event_50=0.0, p_event_50=0.01)
+    scores = score_prognoses(prognoses)
+    assert scores["mae_flights"] == 10.0
+    assert scores["coverage"] == 1.0
+    assert not {"interval_skill", "coverage_last_100", "alpha_lambda_20", "brier_skill"} & scores.keys()

@@ -1,11 +1,140 @@
-"""Features are what they are called, and know nothing of the future."""
+"""Features of hand-made tracks are what they are called, and know nothing of the future."""
 
 from dataclasses import fields
 
 import numpy as np
 import pytest
 
-from hdt_core.prognosis.history import FEATURES, RISES, UNITS_AT_ONCE, Panel, feature_rows, record_rows
+from hdt_core.margin.conditions import LEVELS
+from hdt_core.margin.first_passage import passage, wear_rate
+from hdt_core.prognosis.history import FEATURES, RECORD, RISES, UNITS_AT_ONCE, Panel, feature_rows, record_rows
+
+
+def record(level: np.ndarray, **more: np.ndarray) -> dict[str, np.ndarray]:
+    """Of one unit, at every flight."""
+    n = len(level)
+    columns = {"level": level, "sd": np.full(n, 0.02),
+               "age": np.arange(n) + 3.0, "ratio": np.full(n, -0.1),
+               "overheat_k": np.zeros(n), "overheat_half_k": np.zeros(n), "full_open": np.zeros(n),
+               "day": np.full(n, 91.3125)}  # fmt: skip
+    panel = Panel(*(np.asarray(v, float)[None, :] for v in (columns | more).values()))
+    return dict(zip(RECORD, record_rows(panel, (np.zeros(n, int), np.arange(n))).T, strict=True))
+
+
+def slope(level: np.ndarray, first: int, last: int) -> float:
+    return float(np.polyfit(np.arange(first, last + 1), level[first : last + 1], 1)[0])
+
+
+WAVY = 0.1 + 1e-3 * np.arange(120) + 0.01 * np.sin(0.7 * np.arange(120))
+
+
+def test_slopes_are_least_squares_over_their_windows():
+    values = record(WAVY)
+    for window in (10, 30, 100):
+        assert values[f"slope_{window}"][119] == pytest.approx(slope(WAVY, 120 - window, 119))
+        assert values[f"slope_{window}"][7] == pytest.approx(slope(WAVY, 0, 7))
+    assert values["slope_life"][119] == pytest.approx(slope(WAVY, 0, 119))
+    assert values["slope_life"][3] == 0.0 != values["slope_life"][4]
+    assert values["bend"][119] == pytest.approx(values["slope_30"][119] - values["slope_100"][119])
+
+
+@pytest.mark.parametrize(("drop", "begins"), [(0.034, 0), (0.036, 60)])
+def test_a_stretch_begins_with_a_drop_of_three_flights(drop, begins):
+    level = 0.2 + np.where(np.arange(100) >= 58, -drop, 0.0) + 1e-5 * np.arange(100)
+    values = record(level)
+    first = 60 if begins else 0  # the last flight that lies so far below that of three flights before
+    assert values["run"][99] == 100 - first
+    assert values["slope_segment"][99] == pytest.approx(slope(level, first, 99), abs=1e-12)
+
+
+def test_jumps_peaks_and_entry():
+    """Up by 0.05 at once at flight 20, half of it down again at flight 40."""
+    level = 0.1 + np.where(np.arange(80) >= 20, 0.05, 0.0) - np.where(np.arange(80) >= 40, 0.025, 0.0)
+    values = record(level)
+    assert values["jump_10"][[19, 20, 22, 31, 32]].tolist() == pytest.approx([0.0, 0.05, 0.05, 0.05, 0.0])
+    assert values["jump_largest"][[19, 79]].tolist() == pytest.approx([0.0, 0.05])
+    assert values["peak"][[19, 79]].tolist() == pytest.approx([0.1, 0.15])
+    # three flights see the step; what is above 0.02 counts, a third of it each, over the peak
+    assert values["jump_share"][79] == pytest.approx((0.05 - 0.02) / 0.15)
+    assert values["jump_share"][20] == pytest.approx((0.05 - 0.02) / 3.0 / 0.15)
+    assert record(np.r_[np.zeros(5), np.full(5, 0.04)] / 4.0)["jump_share"][9] == 0.0
+    risen = record(np.r_[np.zeros(5), np.full(5, 0.05)] - 0.04)["jump_share"][9]
+    assert risen == pytest.approx(0.03 / 0.02)
+    entry = record(np.arange(10) / 100.0)["entry_level"]
+    assert entry.tolist() == pytest.approx([0.0, 0.01, 0.02, 0.03, 0.04, *[0.02] * 5])
+
+
+def test_roughness_is_the_rms_of_changes_over_thirty_flights():
+    level = np.cumsum(0.01 * np.random.default_rng(1).standard_normal(60))
+    change = np.r_[0.0, np.diff(level)]
+    values = record(level)["roughness"]
+    assert values[59] == pytest.approx(np.sqrt(np.mean(change[30:60] ** 2)))
+    assert values[9] == pytest.approx(np.sqrt(np.mean(change[:10] ** 2)))
+
+
+def test_what_flights_showed_is_averaged_over_the_last_ten_and_forty():
+    rng = np.random.default_rng(2)
+    hot, half, door = (rng.uniform(0.0, 6.0, 60) for _ in range(3))
+    hot[[5, 55]], hot[30], hot[56] = np.nan, 9.0, 3.0
+    values = record(np.zeros(60), overheat_k=hot, overheat_half_k=half, full_open=door)
+    assert values["overheat_10"][0] == pytest.approx(hot[0])
+    assert values["overheat_10"][59] == pytest.approx(np.nanmean(hot[50:]))
+    assert values["overheat_40"][59] == pytest.approx(np.nanmean(hot[20:]))
+    assert values["overheat_half_40"][59] == pytest.approx(half[20:].mean())
+    assert values["full_open_10"][59] == pytest.approx(door[50:].mean())
+    assert values["full_open_40"][59] == pytest.approx(door[20:].mean())
+    valid = hot[20:][np.isfinite(hot[20:])]
+    assert values["hot_share_40"][59] == pytest.approx((valid > 3.0).mean())
+    assert values["overheat_most_40"][59] == 9.0
+    assert np.isnan(values["overheat_most_40"][5])
+    once = record(np.zeros(80), overheat_k=np.where(np.arange(80) == 30, 9.0, 1.0))
+    assert once["overheat_most_40"][[69, 70]].tolist() == [9.0, 1.0]
+    assert np.isnan(record(np.zeros(3), overheat_k=np.full(3, np.nan))["overheat_10"]).all()
+
+
+def test_age_season_and_what_is_handed_on():
+    values = record(WAVY, day=np.linspace(1.0, 365.25, 120))
+    assert values["season_sin"][0] == pytest.approx(np.sin(2.0 * np.pi / 365.25))
+    assert values["season_cos"][119] == pytest.approx(1.0)
+    assert values["age_flights"][4] == 7.0
+    assert values["seen_flights"][4] == 5.0
+    assert values["level_sd"][4] == 0.02
+    assert values["ratio"][4] == -0.1
+
+
+def rows(level: np.ndarray, demand: float, ratio: float, flight: int) -> dict[str, float]:
+    values = record(level, ratio=np.full(len(level), ratio))
+    table = np.stack([values[name] for name in RECORD], axis=1)[[flight]]
+    critical = np.full((1, len(level)), demand)
+    return dict(zip(FEATURES, feature_rows(table, critical, (np.array([0]), np.array([flight])))[0], strict=True))
+
+
+@pytest.mark.parametrize("flight", [40, 99, 119])
+def test_the_physical_forecast_takes_the_rate_of_the_last_hundred_flights(flight):
+    """The wear of a fraction is larger in ln of what is left, by that."""
+    values = rows(WAVY, -0.5, -0.2, flight)
+    slopes = record(WAVY)
+    per_flight = slope(WAVY, max(flight - 99, 0), flight) / (1.0 - WAVY[flight])
+    edges = np.array([0.0, 10, 25, 50, 75, 100, 150, 200, 250, 300])
+    wear = wear_rate(np.array([per_flight]), np.array([flight + 1.0]))
+    by = passage(np.array([-0.2]), np.array([0.012]), np.full((1, len(LEVELS)), -0.5), *wear, edges)[0]
+    for ahead, at in ((50, 3), (100, 5), (200, 7), (300, 9)):
+        assert values[f"passage_{ahead}"] == pytest.approx(by[at])
+    assert values["passage_median"] == pytest.approx(np.interp(0.5, by, edges))
+    assert values["reserve_95"] == pytest.approx(0.3, abs=1e-9)
+    for name in ("30", "100", "segment"):
+        want = min(max(0.3 / (slopes[f"slope_{name}"][flight] / (1.0 - WAVY[flight])), 0.0), 1000.0)
+        assert values[f"left_linear_{name}"] == pytest.approx(want, rel=1e-9)
+
+
+def test_a_reserve_lasts_between_none_and_a_thousand_flights():
+    rising = 0.1 + 1e-3 * np.arange(50)
+    assert rows(rising, -0.1, -0.2, 49)["left_linear_30"] == 0.0
+    assert rows(np.full(50, 0.1), -0.5, -0.2, 49)["left_linear_30"] == 1000.0
+    assert rows(rising * 1e-2, -0.5, -0.2, 49)["left_linear_30"] == 1000.0
+    worn = 0.85 + 1e-3 * np.arange(50)  # what is left counts as a fifth at least
+    assert rows(worn, -0.5, -0.2, 49)["left_linear_30"] == pytest.approx(0.3 / (1e-3 / 0.2))
+
 
 NAMES = {name: i for i, name in enumerate(FEATURES)}
 

@@ -1,10 +1,15 @@
-"""The message's rule: its posterior over every rule of the grid, by loops; and where it stays the prior."""
+"""What a fleet's failures teach: the message's rule by loops over its grid, recalibration; else the prior stands."""
 
 import numpy as np
 import pytest
+from scipy.special import expit, logit
 
+from hdt_core.components.compressor import CC
 from hdt_core.margin.margin import PRIOR_RULE as PRIOR
 from hdt_core.prognosis import message_rule
+from hdt_core.prognosis.component_life import learn_limit
+from hdt_core.prognosis.hazard import EDGES, SPANS, event_by
+from hdt_core.prognosis.recalibrate import TERMS, USUAL_ODDS, HazardCorrection, learn_correction, learn_levels
 
 
 def lives(n: int, excess_k: float, of: int, seed: int = 0) -> tuple[dict[float, np.ndarray], np.ndarray]:
@@ -94,3 +99,95 @@ def test_before_any_message_two_flights_of_three_are_as_likely_as_all_else():
     onsets, message = np.array([[10], [13], [14], [-1], [-1], [5]]), np.array([[10], [10], [10], [10], [-1], [-1]])
     np.testing.assert_allclose(np.exp(message_rule._fit(onsets, message))[:, 0], [0.5, 0.12, 0.03, 0.03, 0.92, 0.08])
     assert len(message_rule.RULES) == 2 * 3 * 15
+
+
+def landmarks(n: int, rate: float) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(2)
+    death = rng.exponential(1.0 / rate, n)
+    left = np.concatenate([np.arange(d, 0.0, -10.0) for d in death])
+    life = np.concatenate([np.full(len(np.arange(d, 0.0, -10.0)), i) for i, d in enumerate(death)])
+    return left, np.ones(left.size, bool), life
+
+
+def test_no_failure_no_correction():
+    hazard = np.full((30, SPANS), 0.1)
+    done = learn_correction(hazard, np.zeros(30), np.full(30, 400.0), np.zeros(30, bool), np.arange(30))
+    assert done == HazardCorrection()
+    none = np.empty(0)
+    levels = learn_levels(event_by(hazard)[:0], none, np.empty(0, bool), np.empty(0, int), (0.04, 0.5, 0.96))
+    assert levels == (0.04, 0.5, 0.96)
+
+
+def test_levels_of_a_right_distribution_are_the_nominal_ones_in_spite_of_censoring():
+    rng = np.random.default_rng(3)
+    death, cut = rng.exponential(120.0, 4000), rng.uniform(0.0, 250.0, 4000)
+    by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (4000, SPANS + 1))
+    low, middle, high = learn_levels(by, np.minimum(death, cut), death <= cut, np.arange(4000), prior_lives=0.0)
+    assert low == pytest.approx(0.05, abs=0.01)
+    assert middle == pytest.approx(0.5, abs=0.03)
+    assert high > 0.85  # nothing was seen beyond the cuts: as far as the lives reach
+
+
+def test_levels_of_a_distribution_that_comes_too_late_are_lower():
+    rng = np.random.default_rng(4)
+    death = rng.exponential(60.0, 2000)
+    by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (2000, SPANS + 1))
+    _, middle, _ = learn_levels(by, death, np.ones(2000, bool), np.arange(2000))
+    assert middle == pytest.approx(1.0 - np.exp(-0.5 * np.log(2.0)), abs=0.03)
+
+
+@pytest.mark.parametrize(("n", "share"), [(3, 0.1), (200, 0.6)])
+def test_a_hazard_twice_too_low_is_corrected_as_far_as_the_lives_carry(n, share):
+    left, failed, life = landmarks(n, 0.02)
+    hazard = np.broadcast_to(1.0 - np.exp(-0.01 * np.diff(EDGES)), (left.size, SPANS))
+    done = learn_correction(hazard, np.full(left.size, 0.5), left, failed, life)
+    before = event_by(hazard)[0, 7]
+    after = event_by(done(hazard[:1], np.array([0.5])))[0, 7]
+    truth = 1.0 - np.exp(-0.02 * 50.0)
+    assert after > before
+    assert (after - before) / (truth - before) > share
+    assert after < truth + 0.1
+
+
+def steady_and_worn(n: int) -> tuple[np.ndarray, ...]:
+    """True hazards (n, SPANS) and lives of two kinds of units: one fails in a hundred flights, one in a thousand."""
+    rng = np.random.default_rng(5)
+    rate = np.where(np.arange(n) % 2 == 0, 0.01, 0.001)
+    death = rng.exponential(1.0 / rate)
+    hazard = 1.0 - np.exp(-rate[:, None] * np.diff(EDGES))
+    return hazard, np.minimum(death, 300.0), death <= 300.0, np.arange(n)
+
+
+@pytest.mark.parametrize(("flattened", "slope"), [(1.0, 0.0), (1.5, 0.5)])
+def test_a_base_that_tells_units_too_little_apart_far_ahead_is_found_out(flattened, slope):
+    """The slope is recovered from many lives, none is found where the base is right, and the next 50 flights stay."""
+    truth, left, failed, life = steady_and_worn(4000)
+    late = EDGES[1:] > 50.0
+    base = np.where(late, expit(USUAL_ODDS + (logit(truth) - USUAL_ODDS) / flattened), truth)
+    done = learn_correction(base, np.full(left.size, 0.2), left, failed, life)
+    assert done.weights[TERMS.index("late_odds")] == pytest.approx(slope, abs=0.12)
+    corrected = done(base[:2], np.full(2, 0.2))
+    np.testing.assert_allclose(logit(corrected), logit(truth[:2]), atol=0.25)
+    alone = HazardCorrection((0.0, 0.0, 0.0, 0.5))(base[:2], np.full(2, 0.2))
+    np.testing.assert_allclose(alone[:, ~late], base[:2, ~late])
+
+
+def test_a_correction_that_was_stored_with_fewer_terms_says_what_it_said():
+    hazard, reserve = np.linspace(0.01, 0.4, 3 * SPANS).reshape(3, SPANS), np.array([-0.1, 0.1, np.nan])
+    corrected = HazardCorrection((0.1, -0.2, 0.3))(hazard, reserve)
+    np.testing.assert_array_equal(corrected, HazardCorrection((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
+
+
+def test_limit_moves_from_the_prior_to_the_messages():
+    prior = CC.limit
+    assert learn_limit(np.empty(0), prior) == prior
+    few, many = learn_limit(np.full(1, 0.15), prior), learn_limit(np.full(30, 0.15), prior)
+    assert 0.15 < few.mean < prior.mean
+    assert many.mean == pytest.approx(0.15, abs=0.01)
+    assert many.sd < few.sd < prior.sd
+
+
+def test_a_clog_does_not_pull_the_limit_far():
+    levels = np.array([0.25, 0.26, 0.24, 0.25])
+    clean, clogged = learn_limit(levels, CC.limit), learn_limit(np.append(levels, 0.65), CC.limit)
+    assert abs(clogged.mean - clean.mean) < 0.03

@@ -1,4 +1,6 @@
-"""A simulated aircraft obeys physics, keeps the contract's layout and knows its own truth."""
+"""Simulated aircraft obey physics and the contract; lives end for their reason; wear keeps its shapes."""
+
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -8,8 +10,11 @@ from hdt_core.physics.air import mean_specific_heat_j_kg_k
 from hdt_core.physics.compressor import effective_diameter_m
 from hdt_core.simulate import packs
 from hdt_core.simulate.design import FleetSettings, draw_design
+from hdt_core.simulate.episodes import LEAD, EpisodeSettings, draw_episodes
 from hdt_core.simulate.fleet import by_month, design_truth, simulate_fleet
 from hdt_core.simulate.recorder import SENSORS
+from hdt_core.simulate.training import join_unlogged_lives
+from hdt_core.simulate.wear import SHAPES, WearSettings, draw_wear
 
 SIZE = FleetSettings(operators=2, tails=1, flights=160, cpl_share=0.01)
 
@@ -138,3 +143,98 @@ def test_one_hz_log_is_smooth_and_its_core_lags(fleet):
 
 def test_design_truth_names_what_the_contract_scores():
     assert {"eq6_intercept_m", "eq6_slope_m_per_count"} <= set(design_truth(11)["parameter"])
+
+
+SMALL = EpisodeSettings(aircraft=40, flights=400)
+
+
+def test_the_message_comes_on_the_second_hot_flight_of_three():
+    lives = draw_episodes(1, SMALL)
+    ended = np.nonzero(lives.message < SMALL.flights)[0]
+    assert ended.size > 10
+    hot = lives.overheat_k > SMALL.rule.excess_k
+    for unit in ended:
+        end = lives.message[unit]
+        assert hot[unit, end]
+        assert hot[unit, max(end - 2, 0) : end].any()
+        assert not (hot[unit, 1:end] & hot[unit, : end - 1]).any()
+
+
+def test_lives_end_where_flights_ask_for_more_than_is_left():
+    exact = replace(SMALL, noise_sd=1e-9, drift_sd=0.0, map_error=0.0, pack_error=0.0)
+    lives = draw_episodes(2, exact)
+    ended = np.nonzero(lives.message < SMALL.flights)[0]
+    demand = lives.demand[ended, LEAD + lives.message[ended]]
+    # the flight's own scatter in what it is said to ask is 0.015
+    assert (lives.ratio[ended, lives.message[ended]] < demand + 0.06).all()
+
+
+def test_hazard_rises_with_loss():
+    lives = draw_episodes(2, SMALL)
+    left, failed = lives.remaining()
+    at = (left >= 0) & failed
+    soon = [(left[at & (lives.loss >= a) & (lives.loss < a + 0.1)] < 30).mean() for a in (0.0, 0.1, 0.2)]
+    assert (np.diff(soon) > 0).all()
+
+
+def test_noise_is_what_was_asked_for():
+    quiet = replace(SMALL, noise_sd=1e-9, drift_sd=0.0, offset_sd=0.02, wash_share=0.0)
+    lives = draw_episodes(3, quiet)
+    offset = (lives.estimated_loss - lives.loss)[lives.age_known, 0]
+    assert offset.std() == pytest.approx(0.01, rel=0.25)
+
+
+def test_washed_units_wear_less():
+    washed = draw_episodes(4, replace(SMALL, wash_share=1.0, wash_every_flights=100.0))
+    never = draw_episodes(4, replace(SMALL, wash_share=0.0))
+    assert washed.loss[:, -1].mean() < 0.7 * never.loss[:, -1].mean()
+
+
+def test_an_unlogged_record_goes_on_with_the_next_unit_and_its_message():
+    lives = draw_episodes(5, SMALL)
+    joined = join_unlogged_lives(np.random.default_rng(0), lives)
+    left, failed = joined.remaining()
+    unit = int(np.argmin(lives.message))
+    assert left[unit, 0] == lives.message[unit]
+    assert joined.loss[unit, lives.message[unit] + 12] < lives.loss[unit, lives.message[unit]]
+    after = joined.message[unit]
+    assert failed[unit, lives.message[unit] + 1] == (after < SMALL.flights)
+
+
+def population(shape: str, units: int = 200, flights: int = 500, **kw: float) -> np.ndarray:
+    shares = tuple(float(s == shape) for s in SHAPES)
+    settings = WearSettings(shape_shares=shares, rate_log_sd=0.0, **({"clog_rate": 0.0} | kw))
+    return draw_wear(np.random.default_rng(3), np.zeros(units), flights, settings).loss
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_wear_never_heals_and_stays_a_fraction(shape):
+    loss = population(shape)
+    assert (np.diff(loss, axis=1) >= -1e-12).all()
+    assert loss.min() >= 0.0
+    assert loss.max() <= 0.95
+
+
+@pytest.mark.parametrize(("shape", "sign"), [("accelerating", 1), ("asymptotic", -1), ("falling_rate", -1)])
+def test_shapes_bend_the_way_their_names_say(shape, sign):
+    loss = population(shape)
+    first, second = loss[:, 250] - loss[:, 0], loss[:, 499] - loss[:, 250]
+    worn = loss[:, 499] < 0.85
+    assert np.mean(sign * (second - first)[worn] > 0) > 0.95
+
+
+def test_nominal_life_ends_at_the_reference_loss():
+    loss = population("linear", life_log_sd=0.0, life_median_flights=400.0)
+    assert np.median(loss[:, 400]) == pytest.approx(0.42, rel=0.02)
+
+
+def test_clogs_come_at_their_rate():
+    settings = WearSettings(life_median_flights=1e9, clog_rate=1 / 1000, shape_shares=(1.0, 0, 0, 0, 0))
+    clog = draw_wear(np.random.default_rng(0), np.zeros(400), 500, settings).clog
+    started = (np.diff(clog, axis=1) > 0.015).sum() / 3
+    assert started == pytest.approx(200, rel=0.25)
+
+
+def test_same_generator_state_same_lives():
+    one, two = (draw_wear(np.random.default_rng(5), np.zeros(5), 50, WearSettings()).loss for _ in range(2))
+    np.testing.assert_array_equal(one, two)
