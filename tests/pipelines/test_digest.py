@@ -72,9 +72,7 @@ def test_an_outlook_moved_where_it_left_its_own_interval(then, now, flown, expec
         return EMPTY | {"outlook": {"one": row | names}}
 
     assert ("moved" in compare(state(then, 20), state(now, 20 + flown)).changes) is expected
-    assert not compare(state(then, 20), state(now, 20 + flown, life=1)).changes, (
-        "another unit has an outlook of its own"
-    )
+    assert not compare(state(then, 20), state(now, 20 + flown, life=1)).changes, "another unit has its own outlook"
 
 
 def test_work_orders_say_by_when(two_nights, tmp_path):

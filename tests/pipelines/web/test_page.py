@@ -1,14 +1,11 @@
 """Dagster's page: to look at unless runs are asked for, then for who brings the token alone; and it still works."""
 
 import http.client
-import http.server
 import json
-import os
 import shutil
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -148,66 +145,22 @@ def test_no_socket_opens_to_another_page_and_none_changes_anything(page, home):
     assert runs(home) == before
 
 
-def browse(address: str, profile: Path) -> str:
-    """The document as the browser has it after 30 s of the page's own time."""
-    options = ["--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={profile}"]
-    done = subprocess.run(
-        [str(CHROMIUM), *options, "--virtual-time-budget=30000", "--dump-dom", address],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    return done.stdout
-
-
 @NEEDS_CHROMIUM
 def test_the_page_works_in_a_browser(page, home, tmp_path):
     port, token = page
-    html = browse(f"http://127.0.0.1:{port}/runs?token={token}", tmp_path / "profile")
+    options = ["--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}"]
+    address = f"http://127.0.0.1:{port}/runs?token={token}"  # after 30 s of the page's own time
+    command = [str(CHROMIUM), *options, "--virtual-time-budget=30000", "--dump-dom", address]
+    html = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
     assert "token=" not in html
     assert any(run[:8] in html for run in runs(home)), html[-2000:]
-
-
-class Evil(http.server.SimpleHTTPRequestHandler):
-    """A page of another origin on this machine that tries what a page can."""
-
-    page = b""
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        self.send_header("Content-Type", "text/html")
-        self.end_headers()
-        self.wfile.write(self.page)
-
-    def log_message(self, *_: object) -> None: ...
-
-
-@NEEDS_CHROMIUM
-def test_another_page_in_the_browser_changes_nothing(page, home, tmp_path):
-    (port, token), before = page, runs(home)
-    change = json.dumps({"query": deletion(home)})
-    at = f"http://127.0.0.1:{port}"
-    Evil.page = f"""<img src="{at}/?token={token}"><script>
-    const change = {change!r}, send = (how) => fetch('{at}/graphql', {{method: 'POST', body: change, ...how}});
-    const tries = [send({{mode: 'no-cors', credentials: 'include'}}),
-      send({{credentials: 'include', headers: {{'Content-Type': 'application/json'}}}}),
-      fetch('{at}/graphql?query=' + encodeURIComponent(JSON.parse(change).query), {{mode: 'no-cors'}})];
-    Promise.allSettled(tries).then((all) => document.title = 'tried ' + all.length);
-    </script>""".encode()
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Evil) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        html = browse(f"http://127.0.0.1:{server.server_port}/", tmp_path / "profile")
-        server.shutdown()
-    assert "tried 3" in html
-    assert runs(home) == before
 
 
 def test_a_taken_port_is_said_in_one_line(page, home, sample_landing):
     port, _ = page
     words = ("ui", "--landing", str(sample_landing), "--home", str(home), "--port", str(port), "--no-daemon")
     command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "name another --port" in done.stderr
     assert len(done.stderr.splitlines()) == 1

@@ -8,9 +8,10 @@ import pytest
 from asgi_client import ADDRESS, Client
 from starlette.responses import PlainTextResponse
 
+from pipelines.storage.objects import StoreError
 from pipelines.web import sign_in
 from pipelines.web.guard import LOCAL, Guard
-from pipelines.web.sign_in import FILE, SESSIONS, LocalToken, Person, ProxyHeader
+from pipelines.web.sign_in import FILE, SESSIONS, LocalToken, Person, ProxyHeader, local_person, read_people
 
 ADA = Person("Ada")
 
@@ -37,10 +38,6 @@ def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_gets():
     assert token.token not in client.get("/").text
 
 
-def test_a_session_needs_no_token_any_more():
-    assert by_token(LocalToken(ADA)).get("/case/a").text == "for Ada"
-
-
 def test_the_token_changes_with_each_start_and_ends_what_was_open():
     before, now = LocalToken(ADA), LocalToken(ADA)
     client = by_token(before)
@@ -65,17 +62,18 @@ def test_a_cookie_is_dead_after_signing_out_wherever_it_was_copied_to():
 def test_a_session_ends_by_itself(monkeypatch):
     token = LocalToken(ADA)
     client = by_token(token)
-    assert client.get("/").status_code == 200
+    assert client.get("/").text == "for Ada"
     monkeypatch.setattr(sign_in.time, "monotonic", lambda: 1e12)
     assert client.get("/").status_code == 401
 
 
 @pytest.mark.parametrize("value", ["", "x", "é", "\x00", "a" * 5000, "%ff%00", "None"])
-def test_no_other_token_or_cookie_opens(value):
+def test_no_other_token_or_cookie_and_no_header_opens(value):
     client = Client(Guard(page, LOCAL, LocalToken(ADA)))
     assert client.get("/", params={"token": value}).status_code == 403
     raw = value.encode("utf-8")
     assert client.get("/", headers=[(b"cookie", b"hdt_session=" + raw)]).status_code == 401
+    assert client.get("/", headers={"x-remote-user": "Ada"}).status_code == 401
 
 
 def test_asking_without_a_session_is_never_locked_out_and_leaves_nothing_behind():
@@ -158,6 +156,51 @@ def test_a_role_counts_from_the_next_request_and_a_broken_file_lets_nobody_in(be
     assert (answer.status_code, "no TOML" in answer.text) == (503, True)
 
 
-def test_with_a_token_no_header_says_who_asks():
-    client = Client(Guard(page, LOCAL, LocalToken(ADA)), {"x-remote-user": "Ada", "origin": ADDRESS})
-    assert client.get("/").status_code == 401
+def test_a_role_or_a_table_of_role_and_operators(tmp_path):
+    (tmp_path / FILE).write_text("""
+local = "viewer"
+[people]
+"ada@example.org" = "engineer"
+"Line 1" = { role = "viewer", operators = ["AQX", "BZR"] }
+""")
+    assert read_people(tmp_path) == {
+        "ada@example.org": Person("ada@example.org", "engineer"),
+        "Line 1": Person("Line 1", "viewer", ("AQX", "BZR")),
+    }
+    assert local_person(tmp_path).role == "viewer"
+    assert [Person("a", role).may_change for role in ("viewer", "engineer")] == [False, True]
+    assert [Person("a", operators=of).may_read("AQX") for of in ((), ("AQX",), ("BZR",))] == [True, True, False]
+
+
+def test_without_a_file_the_token_is_an_engineers_and_nobody_has_a_name(tmp_path, monkeypatch):
+    monkeypatch.setenv("USER", "ada")
+    assert read_people(tmp_path) == {}
+    assert local_person(tmp_path) == Person("ada", "engineer")
+    monkeypatch.delenv("USER")
+    assert local_person(tmp_path).name == "local"
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("people = 1", "people is a table"),
+        ("[person]\nAda = 'viewer'", "no setting 'person'"),
+        ("[people]\nAda = 'admin'", "'Ada': role is viewer or engineer, not 'admin'"),
+        ("[people]\nAda = ['viewer']", "'Ada': role is viewer or engineer"),
+        ("[people]\nAda = {role = 'viewer', operator = 'AQX'}", "'Ada': unknown key operator"),
+        ("[people]\nAda = {role = 'viewer', operators = 'AQX'}", "'Ada': operators is a list"),
+        ("[people]\nAda = {role = 'viewer', operators = []}", "'Ada': operators is empty"),
+        ("[people]\n'' = 'viewer'", "a name has 1 to 80 printable characters"),
+        ("[people]\n\"A\\nB\" = 'viewer'", "a name has 1 to 80 printable characters"),
+        ("[people]\nAda = 'viewer'\nAda = 'engineer'", "no TOML"),
+        ("[people", "no TOML"),
+        ("a = " + "[" * 100_000, "no TOML"),
+        ("\xff", "can't be read"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(tmp_path, text, named):
+    (tmp_path / FILE).write_bytes(text.encode("latin-1"))
+    with pytest.raises(StoreError, match=FILE) as error:
+        read_people(tmp_path)
+    assert named in str(error.value)
+    assert "\n" not in str(error.value)

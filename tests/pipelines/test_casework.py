@@ -1,0 +1,268 @@
+"""What people do about alerts: their log, of which nothing is lost, seen at once, and through a night."""
+
+import datetime as dt
+import multiprocessing
+import shutil
+import sqlite3
+from pathlib import Path
+
+import polars as pl
+import pytest
+from case_homes import case_home, publish_losses
+from databases import SERVER, new_database
+from nights import run
+from small_catalog import START
+
+from hdt_core.loading import UserError
+from pipelines.casework import RefusedError, change_case, find_case, history_of, list_cases
+from pipelines.storage.cases import FILE, CaseLog, ConflictError
+from pipelines.storage.catalog import connect
+from pipelines.storage.ledger import Ledger
+
+SOON = (dt.datetime.now(dt.UTC) + dt.timedelta(days=5)).date().isoformat()
+
+
+@pytest.fixture(scope="module")
+def template_home(tmp_path_factory) -> Path:
+    return case_home(tmp_path_factory.mktemp("cases") / "home")
+
+
+@pytest.fixture
+def home(template_home: Path, tmp_path: Path) -> Path:
+    """Two open alerts of one pack and a closed one."""
+    return Path(shutil.copytree(template_home, tmp_path / "home"))
+
+
+def change(home: Path, alert_id: str, *what: object, **fields: object) -> str:
+    return change_case(home, find_case(home, alert_id), *what, **fields)
+
+
+def state(home: Path, alert_id: str = "wear") -> str:
+    return str(find_case(home, alert_id)["state"])
+
+
+def test_a_change_is_seen_at_once(home):
+    assert {c["alert_id"]: c["state"] for c in list_cases(home, "true")} == {
+        "wear": "new", "clog": "new", "gone": "closed", "other": "new",
+    }  # fmt: skip
+    change(home, "wear", "acknowledge", "Ada")
+    assert state(home) == "acknowledged"
+    change(home, "wear", "assign", "Ada", assignee="Bo")
+    change(home, "wear", "watch", "Cy")
+    change(home, "wear", "watch", "Di")
+    change(home, "wear", "unwatch", "Di")
+    case = find_case(home, "wear")
+    assert [case[c] for c in ("owner", "acknowledged_by", "watched_by", "last_by")] == ["Bo", "Ada", "Cy", "Di"]
+    assert [h["kind"] for h in history_of(home, "wear")] == ["acknowledge", "assign", "watch", "watch", "unwatch"]
+
+
+def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
+    change(home, "wear", "mute", "Ada", until=SOON, note="parts on order")
+    assert state(home) == "muted"
+    for more, now in ((0.06, "worsened"), (0.04, "muted")):
+        assert state(publish_losses(home, 0.2 + more)) == now
+    change(home, "wear", "reopen", "Ada", note="parts came")
+    assert state(home) == "new"
+
+
+@pytest.mark.parametrize(
+    ("finding", "action", "state_is", "message"),
+    [
+        ("clean", None, "answered", "raised as a sensor case"),
+        ("fouled", "inspected", "confirmed", "stays open"),
+        ("fouled", "cleaned", "answered", "restarts the part's estimate"),
+    ],
+)
+def test_a_finding_answers_the_case(home, finding, action, state_is, message):
+    day = START.date() + dt.timedelta(days=40)
+    reply = change(home, "wear", "close", "Ada", finding=finding, action=action, on=str(day), note="ram face clean")
+    assert message in reply
+    case = find_case(home, "wear")
+    assert (case["state"], case["found_by"], case["found_on"]) == (state_is, "Ada", day)
+    change(home, "wear", "reopen", "Bo", note="wrong pack")
+    assert state(home) == "new"
+
+
+@pytest.mark.parametrize(
+    ("component", "finding", "code", "note"),
+    [
+        ("SENSOR", "wiring fault", "DAMAGED", "wiring fault; left connector"),
+        ("SENSOR", "reads correctly", "NO_FAULT_FOUND", "reads correctly; left connector"),
+        ("RAM_DOOR", "jammed", "DAMAGED", "jammed; left connector"),
+        ("CC", "eroded", "DAMAGED", "eroded; left connector"),
+        ("PUMP", "worn", "DAMAGED", "worn; left connector"),
+        ("SENSOR", "clean", "NO_FAULT_FOUND", "left connector"),
+    ],
+)
+def test_each_component_has_findings_of_its_own(home, component, finding, code, note):
+    case = find_case(home, "wear") | {"component": component}
+    change_case(home, case, "close", "Ada", finding=finding, note="left connector")
+    assert [(h["finding"], h["note"]) for h in history_of(home, "wear")] == [(code, note)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields", "message"),
+    [
+        ("close", {"finding": "rusty"}, "finding is clean, fouled"),
+        ("close", {"finding": "jammed"}, "finding is clean, fouled"),
+        ("close", {"finding": "clean", "action": "polished"}, "action is inspected"),
+        ("close", {"finding": "clean", "on": "2020-01-01"}, "when it was raised"),
+        ("close", {"finding": "clean", "on": "2199-01-01"}, "to today"),
+        ("close", {"finding": "clean", "on": "soon"}, "on is a day"),
+        ("mute", {"until": SOON}, "needs a note"),
+        ("mute", {"until": "2020-01-01", "note": "x"}, "until is a day within"),
+        ("mute", {"until": "9999-12-31", "note": "x"}, "until is a day"),
+        ("mute", {"until": "0001-01-01T00:00+14:00", "note": "x"}, "until is a day"),
+        ("close", {"finding": "clean", "on": "9999-12-31"}, "on is a day"),
+        ("close", {"finding": "clean", "on": "9999-12-31T23:59-14:00"}, "on is a day"),
+        ("assign", {"assignee": " "}, "to is a person's name"),
+        ("assign", {"assignee": "x" * 81}, "to is a person's name"),
+        ("acknowledge", {"note": "x" * 1001}, "the limit is 1000"),
+        ("reopen", {"note": "x"}, "nothing to take back"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_leaves_no_line(home, kind, fields, message):
+    with pytest.raises(RefusedError, match=message):
+        change(home, "wear", kind, "Ada", **fields)
+    assert history_of(home, "wear") == []
+
+
+def test_a_closed_alert_is_not_acknowledged_and_no_guess_is_made_between_two(home):
+    with pytest.raises(RefusedError, match="closed on"):
+        change(home, "gone", "acknowledge", "Ada")
+    for name in ("", "x", "%", "_"):
+        with pytest.raises(UserError):
+            find_case(home, name)
+
+
+ALERT = {"alert_id": "a1", "operator": "AAA", "tail": "T-1", "pack": 1, "component": "HX", "diagnosis": "HX_FOULING"}
+
+
+def write(home: Path, person: str, n: int = 20) -> None:
+    for k in range(n):
+        CaseLog(home, "").append(ALERT | {"alert_id": f"a{k % 3}"}, "watch", person, {"note": f"{k} %s ? '"})
+
+
+def test_three_writers_at_once_lose_nothing(tmp_path):
+    people = ("Ada", "Bo", "Cy")
+    context = multiprocessing.get_context("spawn")
+    writers = [context.Process(target=write, args=(tmp_path, person)) for person in people]
+    for w in writers:
+        w.start()
+    for w in writers:
+        w.join(60)
+    entries = CaseLog(tmp_path, "").entries()
+    assert entries["line"].to_list() == list(range(1, 61))
+    assert entries["at"].is_sorted()
+    for person in people:
+        assert entries.filter(person=person)["note"].to_list() == [f"{k} %s ? '" for k in range(20)]
+
+
+def test_the_second_of_two_who_saw_the_same_is_told_who_was_first(tmp_path):
+    log = CaseLog(tmp_path, "")
+    line = log.append(ALERT, "acknowledge", "Ada", expected_line=0)
+    log.append(ALERT | {"alert_id": "other"}, "acknowledge", "Bo", expected_line=0)
+    log.append(ALERT, "assign", "Bo", {"assignee": "Cy"}, expected_line=line)
+    with pytest.raises(ConflictError, match="Bo changed this case in the meantime"):
+        log.append(ALERT, "mute", "Ada", {"until": "2030-01-01T00:00:00+00:00"}, expected_line=line)
+    assert log.entries().filter(alert_id="a1")["kind"].to_list() == ["acknowledge", "assign"]
+
+
+@pytest.mark.parametrize("line", [2, 10**17, -1])
+def test_a_line_that_there_is_not_is_none_that_anybody_saw(tmp_path, line):
+    log = CaseLog(tmp_path, "")
+    with pytest.raises(ConflictError, match=f"line {line} of the log is none about this case"):
+        log.append(ALERT, "acknowledge", "Ada", expected_line=line)
+    assert log.last_line() == 0
+    log.append(ALERT, "acknowledge", "Ada", expected_line=0)
+    with pytest.raises(ConflictError):
+        log.append(ALERT, "acknowledge", "Bo", expected_line=line)
+    assert log.last_line() == 1
+
+
+def test_no_line_is_ever_changed_or_taken_out(tmp_path):
+    CaseLog(tmp_path, "").append(ALERT, "acknowledge", "Ada")
+    with sqlite3.connect(tmp_path / FILE) as con:
+        for sql in ("update cases set person = 'Eve'", "delete from cases"):
+            with pytest.raises(sqlite3.IntegrityError, match="only added to"):
+                con.execute(sql)
+    con.close()
+    assert CaseLog(tmp_path, "").entries()["person"].to_list() == ["Ada"]
+
+
+def test_who_looks_writes_nothing(tmp_path):
+    assert CaseLog(tmp_path, "").entries().is_empty()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("damage", ["gone", "damaged"])
+def test_a_lost_log_is_put_back_from_what_the_nights_have_stored(tmp_path, damage):
+    log = CaseLog(tmp_path, "")
+    log.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "loss_then": 0.2})
+    log.append(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"})
+    stored = log.entries()
+    assert log.repair(stored) is None
+    content = (tmp_path / FILE).read_bytes()
+    (tmp_path / FILE).unlink() if damage == "gone" else (tmp_path / FILE).write_bytes(content[:3000])
+    assert "2 lines are put back" in log.repair(stored)
+    assert log.entries().equals(stored)
+    assert log.append(ALERT, "watch", "Cy") == 3
+    assert (tmp_path / f"{FILE}.damaged").exists() == (damage == "damaged")
+
+
+def test_a_line_that_rots_is_put_back_and_a_new_one_stays(tmp_path):
+    log = CaseLog(tmp_path, "")
+    log.append(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"})
+    stored = log.entries()
+    log.append(ALERT, "watch", "Cy")
+    content = (tmp_path / FILE).read_bytes()
+    (tmp_path / FILE).write_bytes(content.replace(b"2030-01-01", b"2034-01-01"))
+    assert log.fault(stored) == "holds a line that is not what was written"
+    assert "1 lines are put back, and 1 since the last night" in log.repair(stored)
+    assert log.fault(stored) is None
+    assert log.entries()["person"].to_list() == ["Bo", "Cy"]
+    assert log.entries().head(1).equals(stored)
+
+
+@pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
+def test_a_database_keeps_it_for_several_machines():
+    with new_database() as url:
+        one, two = (CaseLog(Path("/nowhere"), url) for _ in range(2))
+        line = one.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "note": "50 %"})
+        with pytest.raises(ConflictError):
+            two.append(ALERT, "acknowledge", "Bo", expected_line=0)
+        two.append(ALERT, "acknowledge", "Bo", expected_line=line)
+        entries = two.entries()
+    assert entries.select("line", "kind", "note").rows() == [(1, "close", "50 %"), (2, "acknowledge", None)]
+    assert entries.schema["done_on"] == pl.Date
+
+
+def test_found_clean_it_closes_with_the_next_night_and_comes_back_as_the_sensors(own_home):
+    landing, home = own_home
+    (case,) = list_cases(home, "c.diagnosis = 'HX_FOULING' and c.closed_at is null and c.tail = 'A9-BAC'")
+    change_case(home, case, "close", "Ada", finding="clean", on="2024-06-19", note="core face clean")
+    assert find_case(home, case["alert_id"])["state"] == "answered"
+    health = Ledger(home).cells("twin_health")
+    night = run(landing, home)
+    assert not night.failed
+    assert night.new_files == 0
+    remade = Ledger(home).cells("twin_health").join(health, on=health.columns, how="anti")
+    assert remade["tail"].to_list() == ["A9-BAC"], "and no other aircraft is made again"
+    with connect(home) as con:
+        outcomes = con.execute(
+            """select closed_on::varchar, closed_reason, outcome from alerts join alert_outcomes using (alert_id)
+            where alert_id = $id""", {"id": case["alert_id"]},
+        ).fetchall()  # fmt: skip
+        after = con.execute("select diagnosis, closed_at from alerts where follows = $id", {"id": case["alert_id"]})
+        assert outcomes == [("2024-06-20", "found_clean", "no_fault_found")]
+        assert after.fetchall() == [("SENSOR_FAULT", None)], "the loss grew from 16 to 21 % after it"
+        status = con.execute(
+            """select distinct status from prognoses where tail = 'A9-BAC' and pack = 2 and component = 'HX'
+            and departed_on > '2024-06-20'"""
+        )
+        assert status.fetchall() == [("contradicted",)]
+        assert con.execute("select person, note from tables.raw_cases").fetchall() == [("Ada", "core face clean")]
+    assert find_case(home, case["alert_id"])["state"] == "closed"
+    assert run(landing, home).idle
+    change_case(home, case, "watch", "Bo")
+    assert run(landing, home).cells == 1, "a word alone makes nothing anew but its own table"
