@@ -13,13 +13,12 @@ from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.calibration.calibrate import calibrate as fit
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight import admission
-from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.nominal_baseline import leg_indicators
-from hdt_core.flight.windows import baseline_flights
+from hdt_core.flight.admission import leg_indicators
+from hdt_core.flight.control_schedules import learn_schedules
+from hdt_core.flight.legs import baseline_flights, judge_legs
 from hdt_core.health.features import features as describe
 from hdt_core.health.residuals import residuals as compare
 from hdt_core.health.sensor_checks import cross_checks as testify
-from hdt_core.margin.control_schedules import learn_schedules
 from hdt_core.margin.exchanger_demand import CRITICAL, exchanger_demand
 from hdt_core.prognosis.feature_rows import MARGIN_FEATURES
 from hdt_core.prognosis.fleet_record import FleetRecord

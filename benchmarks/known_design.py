@@ -16,7 +16,7 @@ from hdt_core.calibration.compressor_fit import fit_compressor
 from hdt_core.calibration.design_table import elasticities, flow_elasticities
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.windows import baseline_flights
+from hdt_core.flight.legs import baseline_flights
 from hdt_core.physics.compressor import inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK, PACK

@@ -22,7 +22,7 @@ from benchmarks.fleets import fleet_of
 from benchmarks.harness import DOCS, Texts, markdown, run
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.windows import baseline_flights
+from hdt_core.flight.legs import baseline_flights
 from hdt_core.records.keys import IN_ORDER
 from hdt_core.robust import Z_90, spread_expr
 from hdt_core.simulate.design import FleetSettings

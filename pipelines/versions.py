@@ -12,7 +12,7 @@ from typing import Literal
 
 import polars as pl
 
-from hdt_core.flight.windows import baseline_flights
+from hdt_core.flight.legs import baseline_flights
 from hdt_core.tables import TABLES
 from pipelines.lineage import LINEAGE, Recipe, Stage
 from pipelines.storage.ledger import Ledger

@@ -5,7 +5,7 @@ import polars as pl
 
 from hdt_core.alerts.cases import REPAIR, Case, Limits, runs
 from hdt_core.alerts.grid import Grid
-from hdt_core.flight.control_schedule import DOOR_FREE
+from hdt_core.flight.control_schedules import DOOR_FREE
 from hdt_core.health.detection import Array, persistent
 from hdt_core.records.keys import PACK
 

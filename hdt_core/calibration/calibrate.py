@@ -26,7 +26,7 @@ from hdt_core.calibration.missing_physics import coefficients
 from hdt_core.calibration.pooling import PooledLevel, levels_of
 from hdt_core.calibration.sensor_priors import sensor_prior
 from hdt_core.estimation.panel import PanelLeastSquares
-from hdt_core.flight.windows import baseline_flights
+from hdt_core.flight.legs import baseline_flights
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import within

@@ -1,22 +1,35 @@
-"""Level two of the nominal-leg filter: log, cross checks, manifold and, where there is one, the twin.
+"""Level two of the nominal-leg filter: log, cross checks, conductance index and, where there is one, the twin.
 
 It uses later flights too, and serves calibration only. A leg rejected here is still monitored.
 """
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, dataclass, field, replace
+from itertools import compress
 
+import numpy as np
 import polars as pl
+from scipy.stats import chi2
+from sklearn.covariance import MinCovDet
 
-from hdt_core.flight.bleed import BLEED, ODD_BLEED
-from hdt_core.flight.control_schedule import learn_outlet_schedule
-from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors
-from hdt_core.flight.manifold import learn_manifold
-from hdt_core.flight.nominal import Scatter, judge_conductance, learn_level, learn_scatter
-from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
-from hdt_core.flight.windows import flag_windows, number_flights
-from hdt_core.records.keys import LEG
+from hdt_core.flight.conductance_index import (
+    IndexLevel,
+    Manifold,
+    judge_conductance,
+    learn_level,
+    learn_manifold,
+    leg_conductance,
+)
+from hdt_core.flight.control_schedules import ControlSchedule, learn_outlet_schedule
+from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors, leg_checks
+from hdt_core.flight.legs import BLEED, ODD_BLEED, flag_windows, number_flights
+from hdt_core.loading import with_tuples
+from hdt_core.records.keys import LEG, of_each_aircraft
 from hdt_core.robust import Z_90
+from hdt_core.tables.base import finite
 
+MCD_QUANTILE, MCD_MIN_LEGS = 0.9995, 200
+MCD_SUPPORT = 0.75  # of legs that passed all rules, a quarter may still be sick
 CONTAMINANT_LOSS = 0.15
 LOSSES = {
     "hx_fouling": ("HX_WORN", CONTAMINANT_LOSS),
@@ -34,6 +47,52 @@ SECOND_LEVEL = {
     "HX_WORN": "heat exchanger worn",
     "CC_WORN": "compressor worn",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Joint scatter of the residuals of nominal legs: `columns`, mean and inverse covariance."""
+
+    columns: tuple[str, ...]
+    mean: tuple[float, ...]
+    precision: tuple[tuple[float, ...], ...]
+
+    def flag_outliers(self, residuals: pl.DataFrame) -> pl.Series:
+        """Flag rows with a squared robust distance above the chi-square quantile. Nulls count as zero."""
+        off = residuals.select(pl.col(self.columns).fill_null(0.0)).to_numpy() - np.array(self.mean)
+        distance = ((off @ np.array(self.precision)) * off).sum(axis=1)
+        return pl.Series("outlier", distance > chi2.ppf(MCD_QUANTILE, len(self.columns)))
+
+
+@dataclass(frozen=True, slots=True)
+class NominalBaseline:
+    """Laws of a fleet's nominal legs, against which each leg is compared."""
+
+    manifold: Manifold | None = None
+    outlet: ControlSchedule | None = None
+    level: IndexLevel = field(default_factory=IndexLevel)
+    scatter: Scatter | None = None
+
+    def to_json(self) -> str:
+        """Return the baseline as JSON."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> "NominalBaseline":
+        """Read a baseline from JSON."""
+        plain = with_tuples(json.loads(text))
+        kinds = {"manifold": Manifold, "outlet": ControlSchedule, "level": IndexLevel, "scatter": Scatter}
+        return cls(**{name: kind(**plain[name]) for name, kind in kinds.items() if plain[name]})
+
+
+def leg_indicators(samples: pl.DataFrame, baseline: NominalBaseline) -> pl.DataFrame:
+    """Compute indicators leg by leg, each from its own samples: level, unrest, count of the index, means of checks."""
+
+    def indicators(own: pl.DataFrame) -> pl.DataFrame:
+        checks = leg_checks(own, baseline.outlet)
+        return checks.join(leg_conductance(own, baseline.manifold), on=LEG, how="full", coalesce=True, validate="m:1")
+
+    return finite(of_each_aircraft(samples, indicators)).sort(LEG)
 
 
 def learn_baseline(
@@ -162,3 +221,26 @@ def _without_outliers(rows: pl.DataFrame, scatter: Scatter | None) -> pl.DataFra
     reason = pl.when(pl.col("outlier").fill_null(False)).then(pl.lit("OUTLIER")).otherwise("reason")
     verdicts = flags.with_columns(reason.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
     return verdicts.with_columns(pl.when("admitted").then("n_nominal").otherwise(0).alias("n_nominal"))
+
+
+def learn_scatter(residuals: pl.DataFrame, columns: list[str]) -> Scatter | None:
+    """Estimate the scatter of a nominal fleet by FAST-MCD; None for fewer than 200 legs.
+
+    Parameters
+    ----------
+    residuals : DataFrame
+        One row a leg; `columns` hold residuals with the unit's own level removed. Nulls count as zero.
+
+    References
+    ----------
+    .. [1] P. J. Rousseeuw, K. Van Driessen, A fast algorithm for the minimum covariance determinant estimator,
+       Technometrics 41(3), 1999.
+    """
+    x = residuals.select(pl.col(columns).fill_null(0.0)).to_numpy()
+    # a residual that is zero for most legs (not recorded, door at its stop) has no scatter
+    moves = (x == 0.0).mean(axis=0) < 0.5 if len(x) else np.zeros(len(columns), dtype=bool)
+    if len(x) < MCD_MIN_LEGS or not moves.any():
+        return None
+    covariance = MinCovDet(support_fraction=MCD_SUPPORT, random_state=0).fit(x[:, moves])
+    precision = tuple(map(tuple, covariance.get_precision().tolist()))
+    return Scatter(tuple(compress(columns, moves)), tuple(covariance.location_.tolist()), precision)

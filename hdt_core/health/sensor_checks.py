@@ -8,10 +8,9 @@ against right where both controllers have the same target. None needs the digita
 import polars as pl
 
 from hdt_core.calibration.arrays import departure
-from hdt_core.flight.control_schedule import FULL_OPEN, has_authority
+from hdt_core.flight.control_schedules import FULL_OPEN, ControlSchedules, has_authority, learn_schedules
 from hdt_core.flight.cross_checks import ln_ratio
 from hdt_core.flight.legs import RUNNING_KG_S
-from hdt_core.margin.control_schedules import ControlSchedules, learn_schedules
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import LEG, join_other_pack
 from hdt_core.tables.base import finite

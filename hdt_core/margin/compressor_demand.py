@@ -12,7 +12,7 @@ from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.compressor import compressor_samples
 from hdt_core.calibration.compressor_fit import CompressorFit
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.margin.control_schedules import ControlSchedules
+from hdt_core.flight.control_schedules import ControlSchedules
 from hdt_core.margin.curves import read_across
 from hdt_core.margin.reference_air import HIGH_CRUISE_M, hot_day_tat_k, reference_air
 from hdt_core.physics.compressor import (

@@ -10,8 +10,8 @@ from scipy.stats import median_abs_deviation
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.components import Component
-from hdt_core.flight.bleed import reject_odd_bleed
 from hdt_core.flight.component_legs import NO_EVIDENCE, component_legs, component_samples
+from hdt_core.flight.legs import reject_odd_bleed
 from hdt_core.physics.model import PhysicsModel, declared
 from hdt_core.records.keys import LEG, PACK, is_among
 from hdt_core.records.unit_index import number_units, select_entries

@@ -13,10 +13,9 @@ from hdt_core.calibration.design_table import design_parameters
 from hdt_core.calibration.drift_audit import audit_drift
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit, learn_baseline
-from hdt_core.flight.bleed import reject_odd_bleed
-from hdt_core.flight.nominal_baseline import leg_indicators
-from hdt_core.margin.control_schedules import learn_schedules
+from hdt_core.flight.admission import admit, learn_baseline, leg_indicators
+from hdt_core.flight.control_schedules import learn_schedules
+from hdt_core.flight.legs import reject_odd_bleed
 from hdt_core.records.keys import FLIGHT_PACK, LEG, of_each_aircraft
 from hdt_core.tables.signals import SIGNALS
 from pipelines.assets.stage import StageResult, stage

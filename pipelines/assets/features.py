@@ -7,10 +7,10 @@ import polars as pl
 
 from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.alerts.component_alerts import component_features, raise_component_alerts
-from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
+from hdt_core.flight.admission import NominalBaseline, leg_indicators
+from hdt_core.flight.control_schedules import ControlSchedules
 from hdt_core.health.features import features as describe
 from hdt_core.health.sensor_checks import cross_checks
-from hdt_core.margin.control_schedules import ControlSchedules
 from hdt_core.margin.exchanger_demand import exchanger_demand
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.components import conform_all, of_pack, recorded_in

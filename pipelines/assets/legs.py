@@ -2,10 +2,8 @@
 
 import polars as pl
 
-from hdt_core.flight.admission import admit
-from hdt_core.flight.bleed import reject_odd_bleed
-from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.nominal_baseline import NominalBaseline
+from hdt_core.flight.admission import NominalBaseline, admit
+from hdt_core.flight.legs import judge_legs, reject_odd_bleed
 from hdt_core.tables.raw import RawMaintenance, RawMessages
 from pipelines.assets.calibration import LEGS, laws_of
 from pipelines.assets.stage import stage

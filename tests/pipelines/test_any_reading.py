@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 
 from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit
+from hdt_core.flight.admission import NominalBaseline, admit, leg_indicators
+from hdt_core.flight.control_schedules import ControlSchedules
 from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
 from hdt_core.health.features import features
 from hdt_core.health.residuals import residuals
 from hdt_core.health.sensor_checks import cross_checks
-from hdt_core.margin.control_schedules import ControlSchedules
 from hdt_core.tables import TABLES
 from hdt_core.tables.raw import RawMaintenance, RawMessages
 from hdt_core.tables.signals import SIGNALS

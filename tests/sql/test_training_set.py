@@ -9,7 +9,7 @@ from small_catalog import catalog, flight
 
 from benchmarks import chain, samples
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.margin.control_schedules import ControlSchedules
+from hdt_core.flight.control_schedules import ControlSchedules
 from hdt_core.tables import TABLES
 from pipelines.storage.catalog import connect
 from pipelines.storage.store import Store

@@ -11,8 +11,8 @@ import polars as pl
 
 from benchmarks.real.hydraulic import COOLER
 from hdt_core.components import Component, Limit
-from hdt_core.flight.nominal import learn_scatter
-from hdt_core.flight.steady import drift_free
+from hdt_core.flight.admission import learn_scatter
+from hdt_core.flight.samples import drift_free
 from hdt_core.health.features import features
 from hdt_core.health.residuals import component_residuals
 from hdt_core.tracking.component import DesignOffset, calibrate_component, track_component

@@ -9,8 +9,7 @@ from known_fleet import departure
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.compressor_fit import CompressorFit
 from hdt_core.calibration.dsm import Dsm, SensorBiases
-from hdt_core.flight.control_schedule import ControlSchedule
-from hdt_core.margin.control_schedules import ControlSchedules, SpeedLimit
+from hdt_core.flight.control_schedules import ControlSchedule, ControlSchedules, SpeedLimit
 
 FIT = CompressorFit(
     0.175, 0.001, -2.8e-5, 1e-6, 0.005, 0.004, 0.2, 9.4e-4, 1e-5, 0.74, 0.01, 430.0, 900,

@@ -16,7 +16,7 @@ from hdt_core.calibration.drift_audit import audit_drift
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.pooling import PooledLevel
 from hdt_core.estimation.panel import PanelLeastSquares
-from hdt_core.flight.windows import MILESTONES, baseline_flights
+from hdt_core.flight.legs import MILESTONES, baseline_flights
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.tables.calibration import CalibrationDesign

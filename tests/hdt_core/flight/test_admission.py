@@ -5,14 +5,19 @@ import polars as pl
 import pytest
 
 from benchmarks.chain import admit_fleet
-from hdt_core.flight.admission import SECOND_LEVEL, admit, learn_baseline
-from hdt_core.flight.control_schedule import learn_outlet_schedule
+from hdt_core.flight.admission import (
+    SECOND_LEVEL,
+    NominalBaseline,
+    Scatter,
+    admit,
+    learn_baseline,
+    learn_scatter,
+    leg_indicators,
+)
+from hdt_core.flight.conductance_index import IndexLevel, add_conductance_index, learn_manifold, leg_conductance
+from hdt_core.flight.control_schedules import learn_outlet_schedule
 from hdt_core.flight.cross_checks import check_sensors, leg_checks
-from hdt_core.flight.legs import REASONS, judge_legs
-from hdt_core.flight.manifold import add_conductance_index, learn_manifold, leg_conductance
-from hdt_core.flight.nominal import IndexLevel, Scatter, learn_scatter
-from hdt_core.flight.nominal_baseline import NominalBaseline, leg_indicators
-from hdt_core.flight.windows import number_flights
+from hdt_core.flight.legs import REASONS, judge_legs, number_flights
 from hdt_core.records.keys import LEG
 
 KEY = ["tail", "flight_id", "pack"]

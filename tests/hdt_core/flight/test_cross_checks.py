@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.control_schedule import ControlSchedule, has_authority, learn_outlet_schedule
+from hdt_core.flight.control_schedules import ControlSchedule, has_authority, learn_outlet_schedule
 from hdt_core.flight.cross_checks import TOLERANCE, check_sensors, leg_checks
 from hdt_core.records.keys import LEG
 

@@ -5,8 +5,7 @@ from datetime import UTC, datetime, timedelta
 import polars as pl
 import pytest
 
-from hdt_core.flight.bleed import BLEED, reject_odd_bleed
-from hdt_core.flight.legs import REASONS, judge_legs, prepare_samples
+from hdt_core.flight.legs import BLEED, REASONS, judge_legs, prepare_samples, reject_odd_bleed
 from hdt_core.records.keys import LEG
 from hdt_core.tables.raw import RawReports
 

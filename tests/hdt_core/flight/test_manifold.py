@@ -5,9 +5,18 @@ import polars as pl
 import pytest
 from scipy.stats import chi2
 
-from hdt_core.flight import manifold
-from hdt_core.flight.manifold import TERMS, Manifold, add_conductance_index, learn_manifold, leg_conductance
-from hdt_core.flight.nominal import IndexLevel, Scatter, judge_conductance, learn_level, learn_scatter
+from hdt_core.flight import conductance_index
+from hdt_core.flight.admission import Scatter, learn_scatter
+from hdt_core.flight.conductance_index import (
+    TERMS,
+    IndexLevel,
+    Manifold,
+    add_conductance_index,
+    judge_conductance,
+    learn_level,
+    learn_manifold,
+    leg_conductance,
+)
 from hdt_core.records.keys import LEG
 
 FLIGHTS, EACH = 40, 8
@@ -114,7 +123,7 @@ def test_runs_of_up_to_nine_samples_are_looked_at(monkeypatch):
     index = np.zeros(40)
     index[20:29] = 0.1
     rows = pl.DataFrame({"operator": "TST", "tail": "T", "flight_id": "F", "pack": 1, "conductance_index": index})
-    monkeypatch.setattr(manifold, "add_conductance_index", lambda samples, _: samples)
+    monkeypatch.setattr(conductance_index, "add_conductance_index", lambda samples, _: samples)
     law = Manifold((), (), 0.02)
     assert leg_conductance(rows, law)["index_unrest"].to_list() == pytest.approx([0.1 * 3.0 / 0.02])  # sqrt(9) = 3
 

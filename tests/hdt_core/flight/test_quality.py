@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.quality import FROZEN_RISE_M, NOISY, SIGNALS, null_bad_values
+from hdt_core.flight.samples import FROZEN_RISE_M, NOISY, SIGNALS, null_bad_values
 
 BY = ("tail", "pack")
 CRUISE = {

@@ -5,7 +5,7 @@ import pytest
 from hand_pack import DSM, FLIGHT, LAWS
 
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.margin.control_schedules import ControlSchedules
+from hdt_core.flight.control_schedules import ControlSchedules
 
 
 @pytest.fixture

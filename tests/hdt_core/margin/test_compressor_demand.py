@@ -9,6 +9,7 @@ from hand_pack import FIT
 
 from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.compressor import compressor_samples
+from hdt_core.flight.control_schedules import SpeedLimit
 from hdt_core.margin.compressor_demand import (
     CRITICAL_DIAMETER,
     FLOWS,
@@ -16,7 +17,6 @@ from hdt_core.margin.compressor_demand import (
     required_diameter,
     share_left,
 )
-from hdt_core.margin.control_schedules import SpeedLimit
 from hdt_core.margin.reference_air import reference_air
 from hdt_core.physics.compressor import HEAD, inlet_flow_kg_s, pressure_ratio
 

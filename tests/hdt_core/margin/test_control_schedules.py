@@ -8,9 +8,10 @@ import polars as pl
 import pytest
 from known_fleet import departure
 
-from hdt_core.flight.control_schedule import TAT_KNOTS_K, ControlSchedule
-from hdt_core.margin.control_schedules import (
+from hdt_core.flight.control_schedules import (
     ALTITUDE_KNOTS_M,
+    TAT_KNOTS_K,
+    ControlSchedule,
     ControlSchedules,
     SpeedLimit,
     learn_schedules,

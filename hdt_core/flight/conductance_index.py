@@ -1,6 +1,6 @@
-"""Nominal manifold of a fleet's heat exchangers, from recorded signals alone: no design value, no twin.
+"""Conductance index of a fleet's heat exchangers, from recorded signals alone: no design value, no twin.
 
-A first indicator of wear and ice, precise enough to select the legs for calibration.
+An indicator of wear and ice, precise enough to select the legs for calibration; monitoring keeps all legs.
 """
 
 from dataclasses import dataclass
@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
+from hdt_core.flight.cross_checks import SMOOTHED_FLIGHTS
 from hdt_core.physics.model import Array
-from hdt_core.records.keys import LEG
+from hdt_core.records.keys import LEG, PACK
+from hdt_core.records.unit_index import number_units
 from hdt_core.robust import MAD_TO_SD, huber_slopes
 
 BLOCK_FLIGHTS = 10
@@ -150,3 +152,84 @@ def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.Data
             (pl.max_horizontal(pl.col(f"_run{m}").max() for m in SCAN_LENGTHS) / noise).alias("index_unrest"),
         )
     )
+
+
+UNIT = [*PACK, "unit"]
+WORN_INDEX = 0.09  # drop of the conductance index, about the fraction of conductance lost
+CLEAN_QUANTILE = 0.9  # of a unit's smoothed level: its clean state, robust to noise and a few strays
+UNIT_SD = 0.05  # of clean units about each other: conductance as made, and constant sensor errors
+UNREST = 6.5  # standard errors that a few samples in a row may leave the leg's own level
+STRAY_INDEX, STRAY_SD = 0.07, 4.5  # of one leg against its neighbours
+
+
+@dataclass(frozen=True, slots=True)
+class IndexLevel:
+    """Statistics of the index over a fleet.
+
+    Attributes
+    ----------
+    clean : float, optional
+        Clean level of the median unit; None in a fleet without levels.
+    stray : float, optional
+        Median deviation of a leg from its neighbours.
+    """
+
+    clean: float | None = None
+    stray: float | None = None
+
+
+def learn_level(levels: pl.DataFrame, maintenance: pl.DataFrame) -> IndexLevel:
+    """Learn the statistics from levels as of `judge_conductance`."""
+    smooth = _smooth(levels, maintenance)
+    # medians of floats, None without any
+    return IndexLevel(_clean(smooth)["clean"].median(), smooth["index_off"].abs().median())  # type: ignore[arg-type]
+
+
+def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: IndexLevel) -> pl.DataFrame:
+    """Flag wear, unrest and strays by the index.
+
+    Parameters
+    ----------
+    levels : DataFrame
+        `LEG`, `flight_number`, `departed_at`, `index_level`, `index_unrest`, `index_n`; all flights of each tail.
+    maintenance : DataFrame
+        Replaced exchangers (`component` HX) begin a new unit.
+    fleet : IndexLevel
+        Of `learn_level`.
+
+    Returns
+    -------
+    DataFrame
+        `LEG`, `worn`, `unrest`, `stray` (bool), `index_off`, the leg's deviation from the running
+        median of its neighbours, and `index_n`, its number of samples.
+
+    Notes
+    -----
+    A unit's clean level is the upper decile of its smoothed level, but no lower than the clean fleet less two
+    standard deviations between units: an exchanger fitted worn never shows its clean level.
+    """
+    smooth = _smooth(levels, maintenance)
+    floor = pl.lit(None if fleet.clean is None else fleet.clean - 2.0 * UNIT_SD, pl.Float64)
+    away = smooth.join(_clean(smooth), on=UNIT, how="left", validate="m:1").with_columns(
+        (pl.max_horizontal("clean", floor) - pl.col("smooth")).alias("drop")
+    )
+    flags = {
+        "worn": pl.col("drop") > WORN_INDEX,
+        "unrest": pl.col("index_unrest") > UNREST,
+        "stray": pl.col("index_off").abs() > max(STRAY_INDEX, STRAY_SD * MAD_TO_SD * (fleet.stray or 0.0)),
+    }
+    return away.select(
+        *LEG, "index_n", "index_off", *(flag.fill_null(False).alias(name) for name, flag in flags.items())
+    )
+
+
+def _smooth(levels: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+    """Add the running median of each unit, and each leg's deviation from it."""
+    units = number_units(levels, maintenance).sort(*PACK, "flight_number")
+    running = pl.col("index_level").rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=2)
+    smooth = units.with_columns(running.over(UNIT).alias("smooth"))
+    return smooth.with_columns((pl.col("index_level") - pl.col("smooth")).alias("index_off"))
+
+
+def _clean(smooth: pl.DataFrame) -> pl.DataFrame:
+    return smooth.group_by(UNIT).agg(pl.col("smooth").quantile(CLEAN_QUANTILE).alias("clean"))

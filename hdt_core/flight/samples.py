@@ -1,0 +1,316 @@
+"""Samples of a flight: phases, screens of single values, and steady state, at 1 Hz or at snapshot rate."""
+
+from collections.abc import Sequence
+
+import polars as pl
+
+LEVEL_RATE_M_S = 1.524  # 300 ft/min, the usual bound of level flight
+LEVEL_BAND_M = 30.48  # 100 ft: RVSM holds a flight level within 65 ft, encoders add a little
+CRUISE_FLOOR_M = 4572.0  # 15,000 ft: holds and vectoring below it are no cruise
+CRUISE_SHARE = 0.6  # of the leg's highest altitude; steps between cruise levels stay above it
+CRUISE_MIN_S = 300.0  # a shorter level run is a level-off
+CONTINUOUS_GAP_S = 10.0  # records further apart are snapshots
+HALF_WINDOW_S = 30  # 60 s windows, as openap's FlightPhase takes
+GROUND_MACH = 0.15
+
+
+def number_legs(records: pl.DataFrame, by: Sequence[str]) -> pl.DataFrame:
+    """Add `_leg`, a number for each group of sorted rows: windows over one integer are several times cheaper."""
+    return records.with_columns(pl.struct(by).rle_id().alias("_leg"))
+
+
+def add_phases(records: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
+    """Add the flight phase and the climb rate behind it.
+
+    Parameters
+    ----------
+    records : DataFrame
+        `by`, `time_utc`, `altitude_m` [m, pressure altitude] and, where recorded, `mach` [-]. A group of `by` holds
+        either a continuous log (1 Hz) or snapshots (2 to 10 min); both kinds may be in one frame.
+
+    Returns
+    -------
+    DataFrame
+        The rows of `records`, sorted by `by` and time, with `phase` (`ground`, `climb`, `cruise`, `descent`), `level`
+        (bool: holds its altitude) and `climb_rate_m_s` [m/s]. `phase` is null in a leg without altitude.
+
+    Notes
+    -----
+    A state machine over level runs. A sample is level where the altitude moves by less than 300 ft/min: over 60 s in
+    a log, towards a neighbour (and by less than 100 ft) in snapshots. A level run of five minutes or more above
+    15,000 ft and above six tenths of the leg's highest altitude is cruise. The rest is climb or descent by the sign
+    of its rate; a short level-off belongs to the climb before the highest point and to the descent after it. A flight
+    that manoeuvres throughout has no cruise.
+
+    References
+    ----------
+    .. [1] J. Sun, J. Ellerbroek, J. Hoekstra, Flight extraction and phase identification for large ADS-B datasets, J.
+       Aerospace Information Systems 14(10), 2017 (level rate, windows).
+    """
+    rows = records if "mach" in records.columns else records.with_columns(mach=pl.lit(None, pl.Float64))
+    rows = number_legs(rows.sort(*by, "time_utc"), by).with_columns(
+        pl.col("altitude_m").interpolate_by("time_utc").forward_fill().backward_fill().over("_leg").alias("_held_m"),
+        (seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(1)).median() <= CONTINUOUS_GAP_S)
+        .over("_leg")
+        .fill_null(False)
+        .alias("_log"),
+    )
+    rates = pl.concat([_rate_log(rows.filter("_log")), _rate_snapshots(rows.filter(~pl.col("_log")))])
+    phases = _name_phase(_measure_runs(rates.sort("_leg", "time_utc")))
+    return phases.select(*records.columns, "phase", "level", "climb_rate_m_s")
+
+
+def seconds_between(later: pl.Expr, earlier: pl.Expr) -> pl.Expr:
+    """Return the time between two instants. [s]"""
+    return (later - earlier).dt.total_microseconds() / 1e6
+
+
+def _rate_log(rows: pl.DataFrame) -> pl.DataFrame:
+    """Add the climb rate over the 60 s around each second, truncated at both ends."""
+
+    def end(column: str, step: int) -> pl.Expr:
+        edge = pl.col(column).first() if step > 0 else pl.col(column).last()
+        return pl.coalesce(pl.col(column).shift(step).over("_leg"), edge.over("_leg"))
+
+    rise = end("_held_m", -HALF_WINDOW_S) - end("_held_m", HALF_WINDOW_S)
+    span = seconds_between(end("time_utc", -HALF_WINDOW_S), end("time_utc", HALF_WINDOW_S))
+    rates = rows.with_columns((rise / span).alias("climb_rate_m_s"))
+    return rates.with_columns((pl.col("climb_rate_m_s").abs() < LEVEL_RATE_M_S).fill_null(False).alias("level"))
+
+
+def _rate_snapshots(rows: pl.DataFrame) -> pl.DataFrame:
+    """Add the climb rate towards both neighbours; level where one of them is at the same altitude."""
+    rise = pl.col("_held_m").diff()
+    span = seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(1))
+    level = (rise.abs() < LEVEL_BAND_M) & ((rise / span).abs() < LEVEL_RATE_M_S)
+    before = rows.with_columns(
+        (rise / span).over("_leg").alias("_before"), level.over("_leg").fill_null(False).alias("_held")
+    )
+    return before.with_columns(
+        pl.mean_horizontal("_before", pl.col("_before").shift(-1).over("_leg")).alias("climb_rate_m_s"),
+        (pl.col("_held") | pl.col("_held").shift(-1).over("_leg").fill_null(False)).alias("level"),
+    ).drop("_before", "_held")
+
+
+def _measure_runs(rows: pl.DataFrame) -> pl.DataFrame:
+    """Number the runs of level and not level flight; add their length, and the leg's highest altitude and its time."""
+    runs = rows.with_columns(pl.col("level").rle_id().over("_leg").alias("_run"))
+    run_s = seconds_between(pl.col("time_utc").max(), pl.col("time_utc").min())
+    return runs.with_columns(
+        run_s.over("_leg", "_run").alias("_run_s"),
+        (pl.col("_run") == 0).alias("_opens"),
+        (pl.col("_run") == pl.col("_run").max().over("_leg")).alias("_closes"),
+        pl.col("_held_m").max().over("_leg").alias("_top_m"),
+        pl.col("time_utc").get(pl.col("_held_m").arg_max()).over("_leg").alias("_top_at"),
+    )
+
+
+def _name_phase(rows: pl.DataFrame) -> pl.DataFrame:
+    high = (pl.col("_held_m") > CRUISE_FLOOR_M) & (pl.col("_held_m") > CRUISE_SHARE * pl.col("_top_m"))
+    low = pl.col("_held_m") < CRUISE_SHARE * pl.col("_top_m")
+    # without Mach a level run that opens or closes the recording, far below the top, is the stand or the runway
+    is_parked = pl.col("mach").is_null() & pl.col("level") & (pl.col("_opens") | pl.col("_closes")) & low
+    rising = pl.when("level").then(pl.col("time_utc") <= pl.col("_top_at")).otherwise(pl.col("climb_rate_m_s") > 0.0)
+    phase = (
+        pl.when(pl.col("_held_m").is_null()).then(None)
+        .when((pl.col("mach") < GROUND_MACH) | is_parked).then(pl.lit("ground"))
+        .when(pl.col("level") & high & (pl.col("_run_s") >= CRUISE_MIN_S)).then(pl.lit("cruise"))
+        .when(rising).then(pl.lit("climb"))
+        .otherwise(pl.lit("descent"))
+    )  # fmt: skip
+    return rows.with_columns(phase.alias("phase"))
+
+
+# signal: (lowest, highest physical value, largest jump out of and back to its neighbours that a sound sensor makes)
+LIMITS: dict[str, tuple[float, float, float]] = {
+    "altitude_m": (-500.0, 15_500.0, 1_500.0),
+    "mach": (0.0, 1.0, 0.06),
+    "tat_k": (200.0, 335.0, 8.0),
+    "total_pressure_pa": (12_000.0, 130_000.0, 8_000.0),
+    "hx_in_k": (240.0, 560.0, 15.0),
+    "hx_out_k": (240.0, 450.0, 8.0),
+    "ram_door_open": (-0.02, 1.02, 0.35),
+    "pack_flow_kg_s": (0.0, 3.0, 0.15),
+    "ram_out_k": (220.0, 500.0, 12.0),
+    "cc_speed_rad_s": (0.0, 8_000.0, 700.0),
+    "cc_in_k": (200.0, 345.0, 8.0),
+    "cc_in_pa": (8_000.0, 130_000.0, 8_000.0),
+    "cc_out_k": (220.0, 560.0, 20.0),
+    "cc_out_pa": (30_000.0, 300_000.0, 8_000.0),
+    "cc_flow_kg_s": (0.0, 3.0, 0.20),
+    "vda_counts": (-1.0, 4_200.0, 400.0),
+}
+SIGNALS = tuple(LIMITS)
+
+# noise exceeds resolution: the same reading six times over two minutes is a dead sensor, not a calm flight
+NOISY = ("pack_flow_kg_s", "cc_flow_kg_s", "cc_speed_rad_s")
+NOISY_RUN, NOISY_RUN_S, OFF_BELOW = 6, 120.0, 0.05
+# bound to the air outside: [m] of climb or descent over which a sound sensor can't repeat its reading
+FROZEN_RISE_M = {
+    "total_pressure_pa": 1_000.0,
+    "cc_in_pa": 1_000.0,
+    "tat_k": 6_000.0,
+    "cc_in_k": 6_000.0,
+    "hx_in_k": 6_000.0,
+    "hx_out_k": 6_000.0,
+    "cc_out_k": 6_000.0,
+}
+
+
+def null_bad_values(records: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
+    """Null values that no sound sensor can report, and count them.
+
+    Parameters
+    ----------
+    records : DataFrame
+        `by`, `time_utc` and the signals of `LIMITS`, sorted by `by` and time. A column that an operator does not record
+        may be null throughout.
+
+    Returns
+    -------
+    DataFrame
+        The same rows with bad values null, and `n_out_of_range`, `n_spikes` and `n_frozen`: number of values of the
+        row nulled by each screen.
+
+    Notes
+    -----
+    A spike is a sample on the same side of both neighbours by more than the signal can change; a frozen value repeats
+    where noise or the change of altitude must have changed it. The screens apply in turn.
+    """
+    rows = number_legs(records, by)
+    rows = _null(rows, {s: _is_out_of_range(s) for s in SIGNALS}, "n_out_of_range")
+    rows = _null(rows, {s: _is_spike(s) for s in SIGNALS}, "n_spikes")
+    frozen_flags = {s: _is_frozen_noisy(s) for s in NOISY} | {s: _is_frozen_in_climb(s) for s in FROZEN_RISE_M}
+    return _null(rows, frozen_flags, "n_frozen").drop("_leg")
+
+
+def _null(records: pl.DataFrame, bad: dict[str, pl.Expr], count_name: str) -> pl.DataFrame:
+    """Null each signal where its flag is true; count the flags of a row."""
+    rows = records.with_columns(flag.fill_null(False).alias(f"_bad_{signal}") for signal, flag in bad.items())
+    rows = rows.with_columns(
+        *(pl.when(~pl.col(f"_bad_{s}")).then(s) for s in bad),
+        pl.sum_horizontal(pl.col(f"_bad_{s}").cast(pl.Int32) for s in bad).alias(count_name),
+    )
+    return rows.drop(f"_bad_{s}" for s in bad)
+
+
+def _is_out_of_range(signal: str) -> pl.Expr:
+    low, high, _ = LIMITS[signal]
+    # recorders write a few counts below zero for a flow or speed of zero
+    margin = 0.02 * high if low == 0.0 else 0.0
+    return pl.col(signal).is_nan() | ~pl.col(signal).is_between(low - margin, high)
+
+
+def _is_spike(signal: str) -> pl.Expr:
+    """Flag a sample beyond both neighbours, on the same side, by more than the signal can jump."""
+    jump = LIMITS[signal][2]
+    before = pl.col(signal) - pl.col(signal).forward_fill().shift(1).over("_leg")
+    after = pl.col(signal) - pl.col(signal).backward_fill().shift(-1).over("_leg")
+    return ((before > jump) & (after > jump)) | ((before < -jump) & (after < -jump))
+
+
+def _run(signal: str) -> pl.Expr:
+    """Return the number of the run of equal readings, with gaps bridged."""
+    return pl.struct("_leg", pl.col(signal).forward_fill().over("_leg")).rle_id()
+
+
+def _is_frozen_noisy(signal: str) -> pl.Expr:
+    run = _run(signal)
+    span_s = seconds_between(pl.col("time_utc").max(), pl.col("time_utc").min()).over(run)
+    running = pl.col(signal) > OFF_BELOW * LIMITS[signal][1]
+    return (pl.col(signal).count().over(run) >= NOISY_RUN) & (span_s >= NOISY_RUN_S) & running
+
+
+def _is_frozen_in_climb(signal: str) -> pl.Expr:
+    read_at_m = pl.col("altitude_m").filter(pl.col(signal).is_not_null())
+    rise_m = (read_at_m.max() - read_at_m.min()).over(_run(signal))
+    return (rise_m > FROZEN_RISE_M[signal]) & pl.col(signal).is_not_null()
+
+
+WINDOW_S = 60
+SLOPE_T_LIMIT = 4.0
+MIN_AVERAGED = 45  # seconds of a window that must have been recorded
+# what drives the heat exchanger: largest drift [1/s] that leaves it quasi-steady, and the random sd of a reading
+DRIVERS: dict[str, tuple[float, float]] = {
+    "altitude_m": (1.524, 5.0),
+    "mach": (4.0e-4, 1.5e-3),
+    "tat_k": (0.03, 0.35),
+    "hx_in_k": (0.08, 0.6),
+    "pack_flow_kg_s": (1.5e-3, 0.012),
+    "ram_door_open": (2.0e-3, 0.012),
+}
+
+
+def average_log(log: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
+    """Average a 1 Hz log over whole minutes of one phase, which serve the twin as precise snapshots.
+
+    Parameters
+    ----------
+    log : DataFrame
+        `by`, `time_utc`, `phase`, `level`, `climb_rate_m_s`, the screen counts and `SIGNALS`, one row a second;
+        `departed_at` of the flight is kept where present.
+
+    Returns
+    -------
+    DataFrame
+        A row a window with the means of the signals, `time_utc` at the window's middle second, `n_averaged` [s] and
+        `steady` (bool): no driver drifts both significantly (slope test, t over 4) and faster than `DRIVERS` allows.
+    """
+    window = (pl.col("time_utc").dt.epoch("s") // WINDOW_S).alias("_window")
+    second = pl.col("time_utc").dt.epoch("s").cast(pl.Float64)
+    counts = [c for c in log.columns if c.startswith("n_")]
+    windows = log.group_by(*by, window, "phase", maintain_order=True).agg(
+        pl.col("time_utc").median().cast(log.schema["time_utc"]),
+        *(pl.col(c).first() for c in ("departed_at",) if c in log.columns),
+        pl.col("level").all(),
+        pl.col("climb_rate_m_s").mean(),
+        *(pl.when(pl.col(s).count() * 2 > pl.len()).then(pl.col(s).mean()).alias(s) for s in SIGNALS),
+        *(pl.col(c).sum() for c in counts),
+        pl.len().cast(pl.Int64).alias("n_averaged"),
+        pl.all_horizontal(drift_free(second, s, harmful) for s, (harmful, _) in DRIVERS.items()).alias("steady"),
+    )
+    return windows.filter(pl.col("n_averaged") >= MIN_AVERAGED).drop("_window")
+
+
+def drift_free(second: pl.Expr, signal: str, harmful: float) -> pl.Expr:
+    """Whether a group's readings show no slope that is both significant and harmful; true where there are none.
+
+    The drift t-test of J. D. Kelly and J. D. Hedengren, J. Process Control 23(3), 2013.
+
+    Parameters
+    ----------
+    second : Expr
+        Time. [s]
+    signal : str
+        Column of the readings.
+    harmful : float
+        Largest drift that leaves what the signal drives quasi-steady. [signal's unit / s]
+    """
+    time, reading = second.filter(pl.col(signal).is_not_null()), pl.col(signal).drop_nulls()
+    slope = pl.cov(time, reading) / time.var()
+    degrees = reading.len() - 2
+    residual = (reading.var() - slope**2 * time.var()).clip(lower_bound=0.0)
+    t = slope.abs() / (residual / (time.var() * degrees)).sqrt()
+    return ((t < SLOPE_T_LIMIT) | (slope.abs() < harmful)).fill_null(True)
+
+
+def steady_snapshots(snapshots: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
+    """Add `steady`: whether a level snapshot agrees with a neighbour in all `DRIVERS`.
+
+    As snapshots allow no slope test, no driver may have changed since the nearer neighbour of the same phase faster
+    than `DRIVERS` allows and by more than four times the noise of a difference. Rows sorted by `by` and time.
+    """
+    steady = pl.col("level") & pl.all_horizontal(_agrees_with_neighbour(s) for s in DRIVERS)
+    return number_legs(snapshots, by).with_columns(steady.fill_null(False).alias("steady")).drop("_leg")
+
+
+def _agrees_with_neighbour(signal: str) -> pl.Expr:
+    rate, noise = DRIVERS[signal]
+
+    def excess(step: int) -> pl.Expr:
+        change = (pl.col(signal) - pl.col(signal).shift(step).over("_leg")).abs()
+        span_s = seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(step).over("_leg")).abs()
+        same = pl.col("phase") == pl.col("phase").shift(step).over("_leg")
+        return pl.when(same).then(change - pl.max_horizontal(rate * span_s, pl.lit(4.0 * 2**0.5 * noise)))
+
+    return (pl.min_horizontal(excess(1), excess(-1)) <= 0.0).fill_null(True)
