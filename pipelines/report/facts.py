@@ -19,7 +19,7 @@ OUTLOOKS = """
         case when c.check_name is not null then c.until_on end as check_on
     from check_chances as c left join due_dates as d
     on c.operator = d.operator and c.tail = d.tail and c.pack = d.pack and c.component = d.component
-    where c.status not in ('prior_only', 'renewed')"""
+    where c.is_observed"""
 """Chance of a message before the next chance to act, and due date, of each unit and component that was observed."""
 
 _SEGMENT = """

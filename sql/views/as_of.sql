@@ -52,7 +52,7 @@ outlook as (
     where component = 'HX'
 ),
 
-known as (
+states as (
     select
         d.on_date,
         d.operator,
@@ -90,7 +90,7 @@ select
     k.p_event_50,
     k.split,
     string_agg(distinct a.diagnosis, ', ' order by a.diagnosis) as open_diagnoses
-from known as k
+from states as k
 left join alerts as a
     on
         k.operator = a.operator

@@ -31,7 +31,7 @@ with dated as (
         if(l.rul_high < 300, l.rul_high / r.flights_per_day, null) as days_left_high
     from last_prognoses as l
     left join flight_rates as r on l.operator = r.operator and l.tail = r.tail
-    where l.status not in ('prior_only', 'renewed') -- a day needs more than what the prior says of any unit
+    where l.is_observed -- a day needs more than what the prior says of any unit
 )
 
 select

@@ -1,7 +1,8 @@
 -- What was the last prognosis of each unit?
 -- departed_at: departure of the flight it was made after
 -- points: chance of a message within 0, 25, 50, 100, 200 and 300 flights [-]
--- status: as in prognoses, or renewed (washed or replaced since: no prognosis of the unit as it is)
+-- status: as in prognoses, or renewed (washed or replaced since)
+-- is_observed: neither prior_only nor renewed
 -- Grain: operator, tail, pack, component. Reads: prognoses, renewed_units.
 create or replace view last_prognoses as
 select
@@ -16,7 +17,8 @@ select
     coalesce(p.beyond_horizon, false) as beyond_horizon,
     p.p_event_50,
     [0.0, p.p_event_25, p.p_event_50, p.p_event_100, p.p_event_200, p.p_event_300] as points,
-    if(r.component is null, p.status, 'renewed') as status
+    if(r.component is null, p.status, 'renewed') as status,
+    r.component is null and p.status != 'prior_only' as is_observed
 from prognoses as p
 left join renewed_units as r
     on p.operator = r.operator and p.tail = r.tail and p.pack = r.pack and p.component = r.component

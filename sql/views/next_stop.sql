@@ -21,7 +21,7 @@ create or replace view next_stop as
 with units as (
     select *
     from check_chances
-    where status not in ('prior_only', 'renewed') -- money needs more than what the prior says of any unit
+    where is_observed -- money needs more than what the prior says of any unit
 ),
 
 renewals as (

@@ -26,7 +26,7 @@ with findings as (
     where action in ('REPLACED', 'CLEANED') and pack is not null
 ),
 
-said as (
+statuses as (
     select
         operator,
         tail,
@@ -49,7 +49,7 @@ spells as (
         coalesce(
             lead(counts_from) over (partition by operator, tail, pack, component order by counts_from), 'infinity'
         ) as counts_to
-    from said
+    from statuses
 ),
 
 contradicted as (

@@ -46,7 +46,7 @@ ended as (
             and n.row >= l.first_row
 ),
 
-known as (
+resolved as (
     select
         *,
         least(seen_flights, 300) as flown,
@@ -61,4 +61,4 @@ select
     case when scored or flown > rul_low then flown > rul_low end as outlived_low,
     case when rul_high < 300 and (scored or flown > rul_high) then flown > rul_high end as outlived_high,
     case when outcome = 'event' and seen_flights <= 50 then true when seen_flights > 50 then false end as event_50
-from known;
+from resolved;
