@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from benchmarks.spring_mass_damper import PAPER
-from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale
 from hdt_benchmark.spring_mass_damper import euler_position_m
 from hdt_core.physics.compressor import inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.effectiveness import counterflow_effectiveness, crossflow_effectiveness
@@ -18,6 +17,7 @@ from hdt_core.physics.heat_exchanger import (
     CP_HOT_J_KG_K,
     HEAT_EXCHANGER,
     clean_conductance_w_k,
+    measured_conductance_w_k,
     outlets_k,
 )
 from hdt_core.physics.lumped_exchanger import effectiveness_ceiling, lumped_exchanger, tied_coefficient_w_k
@@ -64,15 +64,15 @@ def fleet(ua_w_k: float, n_flights: int = 1500, seed: int = 1) -> tuple[float, f
         hot_out + 0.5 * rng.normal(size=len(hot)),
         cold_in + per_flight(0.0, 0.5),
     )
-    starts = np.arange(n_flights + 1) * points
-    samples = ExchangerSamples(hot, seen_ram, seen_in, seen_out, seen_cold, np.full(len(hot), 4.0), starts)
-    crossflow = fit_conductance_scale(samples, clean_conductance_w_k(hot, seen_ram, **design))
-    # all but the outlet is constant over a flight, so least squares is H of the mean outlet
-    means = (column.reshape(-1, points).mean(axis=1) for column in (hot, seen_ram, seen_in, seen_out, seen_cold))
-    h_w_k = tied_coefficient_w_k(*means)
+    # all but the outlet is constant over a flight, so least squares is that of the mean outlet
+    means = [column.reshape(-1, points).mean(axis=1) for column in (hot, seen_ram, seen_in, seen_out, seen_cold)]
+    h_w_k, ua_ratio = (
+        tied_coefficient_w_k(*means),
+        measured_conductance_w_k(*means) / clean_conductance_w_k(*means[:2], **design),
+    )
     explained = h_w_k > 0.0
     clean = np.arange(n_flights) < n_flights // 4
-    spread = np.std(crossflow.mean[clean] - np.log(ua_share[::points][clean]))
+    spread = np.std(np.log(ua_ratio / ua_share[::points])[clean])
     ln_h = np.log(h_w_k[explained & clean])
     robust = 0.7413 * np.subtract(*np.quantile(ln_h, [0.75, 0.25])) if len(ln_h) > 20 else np.nan
     return float(np.mean(~explained)), float(robust), float(spread)

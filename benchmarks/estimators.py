@@ -1,4 +1,4 @@
-"""Speed of the estimators against named peers that do the same work, contestants taking turns in one run.
+"""Speed of estimators and exchanger against named peers that do the same work, contestants taking turns in one run.
 
 Run ``python -m benchmarks.estimators [--rounds N] [--write]``. Each claim prints medians of processor time on one
 thread, ratios, and how far the answers are apart; ``--write`` puts the table into docs/benchmark.md. The peers are
@@ -12,13 +12,15 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
+import ht
 import numpy as np
 
 from benchmarks.harness import Texts, race_table, run
 from hdt_benchmark.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
-from hdt_benchmark.peers import filter_claim, fit_claim, over
-from hdt_benchmark.timing import Claim, race
+from hdt_benchmark.peers import conductance_claim, filter_claim, fit_claim, over
+from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.estimation import ParticleSwarm, Problem
+from hdt_core.physics.effectiveness import crossflow_effectiveness
 
 
 def main(rounds: int = 15, records: int = 8) -> Texts:
@@ -29,6 +31,8 @@ def main(rounds: int = 15, records: int = 8) -> Texts:
     except ImportError:
         print("PSO against pyswarms: skipped, pyswarms is not installed (pip install -e '.[benchmark]')")
     yield "speed of estimators", race_table(claims, ("numpy", "numba", "scipy", "filterpy", "pyswarms"))
+    exchanger = [conductance_claim(rounds), effectiveness_claim(rounds)]
+    yield "speed of heat exchanger", race_table(exchanger, ("numpy", "scipy", "ht"))
 
 
 def swarm_claim(rounds: int, records: int) -> Claim:
@@ -47,6 +51,21 @@ def swarm_claim(rounds: int, records: int) -> Claim:
         rounds,
         goals={"pyswarms, cost in NumPy": 30.0},
     )
+
+
+def effectiveness_claim(rounds: int) -> Claim:
+    """Mason's series against quadrature."""
+    ntu, ratio = np.random.default_rng(3).uniform(0.2, 4.0, 20000), np.random.default_rng(4).uniform(0.3, 1.0, 20000)
+
+    def by_ht() -> np.ndarray:
+        pairs = zip(ntu[:100], ratio[:100], strict=True)
+        return np.array([ht.effectiveness_from_NTU(n, c, subtype="crossflow") for n, c in pairs])
+
+    runs = {
+        "ours, Mason's series, NumPy": Candidate(lambda: crossflow_effectiveness(ntu, ntu * ratio), ntu.size),
+        "ht, quadrature": Candidate(by_ht, 100),
+    }
+    return race("cross-flow effectiveness", runs, rounds)
 
 
 def _pyswarms(problem: Problem, cost: Callable[[Problem, np.ndarray], np.ndarray]) -> np.ndarray:

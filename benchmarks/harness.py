@@ -89,8 +89,6 @@ def race_table(claims: Iterable[Claim], packages: Sequence[str]) -> str:
     for claim in claims:
         for place, (name, seconds) in enumerate(claim.seconds.items()):
             goal = f"{claim.goals[name]:g} x" if name in claim.goals else "-"
-            if not place and claim.per_second is not None:
-                goal = f"{claim.per_second:,.0f} /s"
             ratio, apart = (times(claim.ratios[name]), f"{claim.apart[name]:.0e}") if place else ("-", "-")
             work = "" if place else claim.work
             lines.append([work, name, clock(seconds), f"{1.0 / seconds:,.0f}", ratio, goal, apart])

@@ -1,32 +1,29 @@
 """Comparisons of this installation with named peers on the same work.
 
 The peers are written as their users write them: the oscillator's Euler loop in plain floats for SciPy, the filter of
-filterpy stepped in a Python loop, SciPy's Levenberg-Marquardt a flight a call.
+filterpy stepped in a Python loop, SciPy's root search a sample a call.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 
-from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale
 from hdt_benchmark.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
 from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, Problem, unknown
 from hdt_core.physics.effectiveness import crossflow_effectiveness
-from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates, clean_conductance_w_k, outlets_k
+from hdt_core.physics.heat_exchanger import capacity_rates, measured_conductance_w_k, outlets_k
 
 Fit = Callable[[Problem], np.ndarray]
 PACKAGES = ("numpy", "numba", "scipy", "filterpy")
-POINTS, FLIGHTS, PEER_FLIGHTS = 30, 20000, 40
-SCIPY = "SciPy lm, vectorised model, a flight a call"
+SAMPLES, PEER_SAMPLES = 100_000, 200
 
 
-def installed(rounds: int = 5, records: int = 2, n_flights: int = 4000) -> list[Claim]:
-    """Run short comparisons: a fit, a filter, a fleet of exchangers."""
-    return [fit_claim(rounds, records), filter_claim(rounds, records), conductance_claim(rounds, n_flights)]
+def installed(rounds: int = 5, records: int = 2) -> list[Claim]:
+    """Run short comparisons: a fit, a filter, the conductances of a fleet's samples."""
+    return [fit_claim(rounds, records), filter_claim(rounds, records), conductance_claim(rounds)]
 
 
 def fit_claim(rounds: int, records: int) -> Claim:
@@ -60,39 +57,26 @@ def filter_claim(rounds: int, records: int) -> Claim:
     )
 
 
-def conductance_claim(rounds: int, n_flights: int = FLIGHTS) -> Claim:
-    """Compare the health of a fleet: ln UA over clean UA, exact cross-flow effectiveness."""
-    samples, clean = snapshots(n_flights, POINTS)
+def conductance_claim(rounds: int, n: int = SAMPLES) -> Claim:
+    """Compare UA of steady samples from flows and temperatures, as every night computes it: losses of 0 to 40 %."""
+    rng = np.random.default_rng(1)
+    flows = 0.9 * rng.lognormal(0.0, 0.06, n), 1.6 * rng.lognormal(0.0, 0.2, n)
+    hot_in_k, cold_in_k = 390.0 + 5.0 * rng.normal(size=n), 250.0 + 3.0 * rng.normal(size=n)
+    hot_out_k = outlets_k(*flows, hot_in_k, cold_in_k, np.linspace(1500.0, 900.0, n))[0] + 0.5 * rng.normal(size=n)
+    samples = np.array([*flows, hot_in_k, hot_out_k, cold_in_k])
     runs = {
-        "ours, batched": Candidate(lambda: fit_conductance_scale(samples, clean).mean, n_flights),
-        SCIPY: Candidate(lambda: _scipy_conductance(samples, clean, PEER_FLIGHTS), PEER_FLIGHTS),
+        "ours, batched": Candidate(lambda: measured_conductance_w_k(*samples), n),
+        "SciPy brentq, a sample a call": Candidate(
+            lambda: np.array([_scipy_conductance_w_k(sample) for sample in samples[:, :PEER_SAMPLES].T]),
+            PEER_SAMPLES,
+        ),
     }
-    return race("cross-flow UA, 30 points a flight", runs, rounds, per_second=1e6)
+    return race("cross-flow UA of a sample", runs, rounds)
 
 
 def over(problems: list[Problem], fit: Fit) -> Candidate:
     """Fit all records in turn."""
     return Candidate(lambda: np.array([fit(problem) for problem in problems]), len(problems))
-
-
-def snapshots(n_flights: int, points: int) -> tuple[ExchangerSamples, np.ndarray]:
-    """Simulate a fleet's cruise snapshots: cross-flow truth, losses of 0 to 40 %, 0.5 K noise."""
-    rng = np.random.default_rng(1)
-    n = n_flights * points
-
-    def spread(mean: float, between: float, within: float) -> np.ndarray:
-        return np.repeat(mean * (1.0 + between * rng.normal(size=n_flights)), points) * (
-            1.0 + within * rng.normal(size=n)
-        )
-
-    hot, ram = spread(0.9, 0.06, 0.01), np.maximum(spread(1.6, 0.2, 0.05), 0.4)
-    hot_in, cold_in = spread(390.0, 0.01, 0.004), spread(250.0, 0.01, 0.002)
-    design: dict[str, Any] = {p.name: p.nominal for p in HEAT_EXCHANGER.free("design")}
-    clean = clean_conductance_w_k(hot, ram, **design)
-    loss = np.repeat(np.linspace(0.0, 0.4, n_flights), points)
-    hot_out = outlets_k(hot, ram, hot_in, cold_in, (1.0 - loss) * clean)[0] + 0.5 * rng.normal(size=n)
-    starts = np.arange(n_flights + 1) * points
-    return ExchangerSamples(hot, ram, hot_in, hot_out, cold_in, np.full(n, 4.0), starts), clean
 
 
 def _scipy_fit(problem: Problem, method: str, tolerance: float = 1e-8) -> np.ndarray:
@@ -133,21 +117,9 @@ def _filterpy(problem: Problem) -> np.ndarray:
     return np.asarray(peer.x[2:])
 
 
-def _misses_k(
-    theta: np.ndarray, clean_ntu: np.ndarray, ratio: np.ndarray, span_k: np.ndarray, cooled_k: np.ndarray
-) -> np.ndarray:
-    """Compute twice the excess of the modelled cooling at each sample; theta is ln UA over clean UA. [K]"""
-    ntu = np.exp(theta[0]) * clean_ntu
-    return np.asarray(2.0 * (span_k * crossflow_effectiveness(ntu, ntu * ratio) - cooled_k))
-
-
-def _scipy_conductance(samples: ExchangerSamples, clean: np.ndarray, n_flights: int) -> np.ndarray:
-    """ln UA over clean UA, a flight at a time, MINPACK's Levenberg-Marquardt over the vectorised model."""
-    estimates = []
-    for f in range(n_flights):
-        at = slice(samples.starts[f], samples.starts[f + 1])
-        hot_flow, ram_flow, hot_in, hot_out, cold_in, _ = (column[at] for column in samples.columns())
-        rate, ratio = capacity_rates(hot_flow, ram_flow, hot_in, hot_out, cold_in)
-        arguments = clean[at] / rate, ratio, hot_in - cold_in, hot_in - hot_out
-        estimates.append(least_squares(_misses_k, [0.0], args=arguments, method="lm", xtol=1e-10, ftol=1e-12).x[0])
-    return np.array(estimates)
+def _scipy_conductance_w_k(sample: np.ndarray) -> float:
+    rate_w_k, ratio = capacity_rates(*sample)
+    _, _, hot_in_k, hot_out_k, cold_in_k = sample
+    effectiveness = (hot_in_k - hot_out_k) / (hot_in_k - cold_in_k)
+    ntu = brentq(lambda n: crossflow_effectiveness(n, n * ratio) - effectiveness, 1e-6, 60.0, xtol=1e-12)
+    return float(ntu * rate_w_k)

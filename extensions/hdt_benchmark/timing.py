@@ -33,15 +33,12 @@ class Claim:
         Largest difference from our answers.
     goals : dict of candidate to float
         How many times longer a peer should take.
-    per_second : float, optional
-        How many pieces we should do in a second on one core.
     """
 
     work: str
     seconds: dict[str, float]
     apart: dict[str, float]
     goals: dict[str, float] = field(default_factory=dict)
-    per_second: float | None = None
 
     @property
     def ours_s(self) -> float:
@@ -60,7 +57,6 @@ def race(
     rounds: int,
     *,
     goals: Mapping[str, float] | None = None,
-    per_second: float | None = None,
 ) -> Claim:
     """Run every contestant once a round, ours first, after one warm-up round; return medians over the rounds."""
     durations: dict[str, list[float]] = {name: [] for name in candidates}
@@ -75,7 +71,7 @@ def race(
     ours = next(iter(answers.values()))
     apart = {name: _apart(ours, other) for name, other in list(answers.items())[1:]}
     medians = {name: float(np.median(seconds)) for name, seconds in durations.items()}
-    return Claim(work, medians, apart, dict(goals or {}), per_second)
+    return Claim(work, medians, apart, dict(goals or {}))
 
 
 def machine(packages: Sequence[str]) -> str:

@@ -7,7 +7,6 @@ import sys
 import numpy as np
 import pytest
 
-from hdt_benchmark.exchanger import ExchangerSamples, fit_conductance_scale, fit_lumped_log
 from hdt_benchmark.oscillator import oscillator_problem
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares
 
@@ -23,21 +22,10 @@ print(json.dumps({
 """
 
 
-def samples():
-    """Three flights of eight samples."""
-    rng, n = np.random.default_rng(4), 24
-    hot, ram = 0.9 + 0.02 * rng.normal(size=n), 1.6 + 0.1 * rng.normal(size=n)
-    hot_out = 310.0 + rng.normal(size=n)
-    starts = np.array([0, 8, 16, 24])
-    return ExchangerSamples(hot, ram, np.full(n, 390.0), hot_out, np.full(n, 250.0), np.full(n, 4.0), starts)
-
-
 def answers():
     """Estimates of every kernel, by the path this process takes."""
-    flights, problem = samples(), oscillator_problem(0)
+    problem = oscillator_problem(0)
     estimates = {
-        "conductance": fit_conductance_scale(flights, np.full(24, 1500.0)).mean,
-        "log": fit_lumped_log(flights, 1.0, 8.0, 8.0).mean,
         "nls": NonlinearLeastSquares().estimate(problem).belief.mean,
         "ekf": ExtendedKalman().estimate(problem).belief.mean,
     }

@@ -6,6 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from hdt_core.estimation import NonlinearLeastSquares
+from hdt_core.estimation.declared import declared_problem
 from hdt_core.physics.air import R_J_KG_K, standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.heat_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K, outlets_k
 from hdt_core.physics.installed_exchanger import DESIGN, clean_ram_flow_kg_s
@@ -203,3 +205,16 @@ def test_static_pressure_without_altitude_comes_from_mach():
 def test_colder_air_is_more_air():
     cold, warm = (RAM_DUCT.predict({}, cruise(tat_k=t))["ram_flow_kg_s"] for t in (240.0, 260.0))
     assert cold / warm == pytest.approx(np.sqrt(260.0 / 240.0), rel=1e-12)
+
+
+@pytest.mark.parametrize("form", ["exact", "tustin"])
+def test_both_coefficients_come_back_from_a_log(form):
+    """A minute at 1 Hz with a step of the door, simulated without noise."""
+    seconds, model = np.arange(60.0), lumped_exchanger(form)
+    inputs = AT | {"ram_flow_kg_s": 1.6 + 0.3 * (seconds > 30.0), "hot_in_k": 390.0 + 3.0 * np.sin(seconds / 9.0)}
+    inputs = {name: np.broadcast_to(value, 60) for name, value in inputs.items()}
+    truth = {"hx_h_hot_w_k": 2300.0, "hx_h_cold_w_k": 1900.0}
+    measured = {"hot_out_k": model.simulate(truth, inputs, 1.0)["hot_out_k"]}
+    fit = NonlinearLeastSquares().estimate(declared_problem(model, tuple(truth), inputs, measured))
+    np.testing.assert_allclose(fit.belief.mean, list(truth.values()), rtol=1e-5)
+    assert fit.status == "converged"
