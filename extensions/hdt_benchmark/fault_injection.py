@@ -12,8 +12,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, clean_conductance_w_k, measured_conductance_w_k, outlets_k
+from hdt_core.physics.installed_exchanger import RAM_DUCT
 from hdt_core.physics.model import PhysicsModel
-from hdt_core.physics.ram_duct import RAM_DUCT
 from hdt_core.simulate.packs import FULL_OPEN, bisect_door
 from hdt_core.simulate.recorder import FOOT, LB_PER_MIN, PSI, SENSORS, with_sensor_fault
 from hdt_core.simulate.signals import ZERO_C

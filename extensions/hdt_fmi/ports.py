@@ -5,8 +5,8 @@ from typing import Any, Literal
 
 from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
+from hdt_core.physics.installed_exchanger import RAM_DUCT
 from hdt_core.physics.model import PhysicsModel, Signal, as_tuple
-from hdt_core.physics.ram_duct import RAM_DUCT
 
 Kind = Literal["equations", "rates", "step"]
 

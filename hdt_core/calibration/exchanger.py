@@ -11,8 +11,7 @@ import numpy as np
 from hdt_core.components.exchanger import HX
 from hdt_core.estimation.panel import forward_differences
 from hdt_core.flight.legs import MODEL_SIGNALS
-from hdt_core.physics.air import mean_specific_heat_j_kg_k
-from hdt_core.physics.heat_exchanger import measured_conductance_w_k
+from hdt_core.physics.heat_exchanger import mean_specific_heat_j_kg_k, measured_conductance_w_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import Array, declared
 

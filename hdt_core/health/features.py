@@ -10,7 +10,7 @@ import polars as pl
 from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
 from hdt_core.margin.first_passage import passages
 from hdt_core.margin.margin import DELIVERY_COLUMNS, MARGIN_COLUMNS, compressor_margin, exchanger_margin
-from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
+from hdt_core.physics.heat_exchanger import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.records.keys import AIRCRAFT, IN_ORDER, LEG, LEG_AT, PACK, join_other_pack
 from hdt_core.records.unit_index import number_units
 from hdt_core.tables.base import DatedLegTable, finite

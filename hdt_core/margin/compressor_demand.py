@@ -13,8 +13,7 @@ from hdt_core.calibration.compressor import compressor_samples
 from hdt_core.calibration.compressor_fit import CompressorFit
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.flight.control_schedules import ControlSchedules
-from hdt_core.margin.curves import read_across
-from hdt_core.margin.reference_air import HIGH_CRUISE_M, hot_day_tat_k, reference_air
+from hdt_core.physics.air import HIGH_CRUISE_M, hot_day_tat_k, reference_air
 from hdt_core.physics.compressor import (
     area_diameter_tan_beta_m3,
     effective_diameter_m,
@@ -180,3 +179,25 @@ def _hot_and_high(flights: pl.DataFrame) -> pl.DataFrame:
     above_k, share = pl.col("inlet_k") - pl.col("tat_k"), pl.col("inlet_pa") / pl.col("total_pressure_pa")
     now = {name: pl.Series(values) for name, values in air.items()}
     return flights.with_columns(**now, inlet_k=now["tat_k"] + above_k, inlet_pa=now["total_pressure_pa"] * share)
+
+
+def read_across(grids: Array, values: Array, at: Array) -> tuple[Array, Array]:
+    """Interpolate curves of the same values, each over its own rising grid, at a point each; with slopes.
+
+    Parameters
+    ----------
+    grids : array, shape (n, points)
+        Rising along each row.
+    values : array, shape (points,)
+    at : array, shape (n,)
+
+    Returns
+    -------
+    array, array, shape (n,)
+        NaN where the grid or the point is not known.
+    """
+    index = np.clip((grids < at[:, None]).sum(axis=1) - 1, 0, values.size - 2)
+    rows = np.arange(len(at))
+    low, high = grids[rows, index], grids[rows, index + 1]
+    slope = (values[index + 1] - values[index]) / np.maximum(high - low, 1e-6)
+    return values[index] + (at - low) * slope, slope

@@ -17,8 +17,7 @@ from hdt_core.calibration.inlet_law import full_open_inlet_k
 from hdt_core.flight.control_schedules import FULL_OPEN, ControlSchedules, has_authority
 from hdt_core.flight.legs import RUNNING_KG_S
 from hdt_core.margin.compressor_demand import compressor_demand
-from hdt_core.margin.curves import falls_through
-from hdt_core.margin.reference_air import hot_day_tat_k, reference_air
+from hdt_core.physics.air import hot_day_tat_k, reference_air
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import Array
@@ -210,3 +209,12 @@ def full_open_outlet_k(
             for r in ln_ratio
         ]
     return np.stack(columns, axis=1)
+
+
+def falls_through(curves: Array, grid: Array, value: float) -> Array:
+    """Return where falling curves over one grid reach a value: (n, points) to (n,)."""
+    index = np.clip((curves > value).sum(axis=1) - 1, 0, grid.size - 2)
+    rows = np.arange(len(curves))
+    high, low = curves[rows, index], curves[rows, index + 1]
+    share = (high - value) / np.maximum(high - low, 1e-9)
+    return np.asarray(grid[index] + share * (grid[index + 1] - grid[index]))

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from hdt_core.margin.compressor_demand import CONDITIONS, FLOWS, curves_of, share_left
-from hdt_core.margin.curves import read_across
+from hdt_core.margin.compressor_demand import CONDITIONS, FLOWS, curves_of, read_across, share_left
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS, SHARES
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, PACK

@@ -12,70 +12,8 @@ R_J_KG_K = 287.05287
 GAMMA = 1.4
 """Ratio of specific heats of the ICAO atmosphere and of pitot theory. [-]"""
 
-CP_300_J_KG_K, CP_SLOPE, CP_CURVE = 1004.66, 0.05216, 3.556e-4
-"""Parabola of `specific_heat_j_kg_k` about 300 K. [J/kg/K], [J/kg/K2], [J/kg/K3]"""
-
-WARMING_ROUNDS = 6
-
 G0_M_S2 = 9.80665
 SEA_LEVEL_K, SEA_LEVEL_PA, LAPSE_K_M, TROPOPAUSE_M = 288.15, 101325.0, 0.0065, 11000.0
-
-
-def specific_heat_j_kg_k(temperature_k: Array) -> Array:
-    r"""Isobaric specific heat of dry air at low pressure. [J/kg/K]
-
-    Parameters
-    ----------
-    temperature_k : array
-        Static temperature. [K], 210 to 500
-
-    Notes
-    -----
-    .. math:: c_p = 1004.66 + 0.05216 (T - 300) + 3.556 \cdot 10^{-4} (T - 300)^2
-
-    A least-squares parabola through the ideal-gas heat capacity of [1]_, within 0.4 J/kg/K of it. At 250 kPa the real
-    gas lies 0.1 % (400 K) to 0.6 % (250 K) above.
-
-    References
-    ----------
-    .. [1] E. W. Lemmon et al., J. Phys. Chem. Ref. Data 29, 331, 2000 (as CoolProp evaluates it).
-
-    Examples
-    --------
-    >>> round(float(specific_heat_j_kg_k(np.float64(300.0))), 2)
-    1004.66
-    """
-    above_k = temperature_k - 300.0
-    return CP_300_J_KG_K + CP_SLOPE * above_k + CP_CURVE * above_k**2
-
-
-def mean_specific_heat_j_kg_k(from_k: Array, to_k: Array) -> Array:
-    """Enthalpy difference over temperature difference: the mean of `specific_heat_j_kg_k` between two temperatures.
-
-    Examples
-    --------
-    >>> round(float(mean_specific_heat_j_kg_k(np.float64(300.0), np.float64(400.0))), 2)
-    1008.45
-    """
-    one_k, other_k = from_k - 300.0, to_k - 300.0
-    square_terms = one_k**2 + one_k * other_k + other_k**2
-    return CP_300_J_KG_K + CP_SLOPE / 2.0 * (one_k + other_k) + CP_CURVE / 3.0 * square_terms
-
-
-def warmed_k(from_k: Array, heat_j_kg: Array) -> Array:
-    """Temperature of air from `from_k` after so much heat at constant pressure. [K]
-
-    Each round leaves a few thousandths of the error of the one before, a hundredth after 250 K: 1e-10 K at the end.
-
-    Examples
-    --------
-    >>> round(float(warmed_k(np.float64(300.0), np.float64(100845.0))), 3)
-    400.0
-    """
-    to_k = from_k + heat_j_kg / mean_specific_heat_j_kg_k(from_k, from_k)
-    for _ in range(WARMING_ROUNDS):
-        to_k = from_k + heat_j_kg / mean_specific_heat_j_kg_k(from_k, to_k)
-    return to_k
 
 
 def density_kg_m3(pressure_pa: Array, temperature_k: Array) -> Array:
@@ -183,3 +121,26 @@ def mach_from_pressures(total_pa: Array, static_pa: Array) -> Array:
     """
     ratio = np.maximum(total_pa / static_pa, 1.0)
     return np.sqrt(2.0 / (GAMMA - 1.0) * (ratio ** ((GAMMA - 1.0) / GAMMA) - 1.0))
+
+
+REFERENCE_M, REFERENCE_MACH = 11_000.0, 0.84
+HIGH_CRUISE_M = 12_497.0
+"""41,000 ft, the highest usual cruise level: thin air demands most of a compressor. [m]"""
+HOT_DAY_K = 15.0
+"""The hot day that a margin is stated for: the standard atmosphere and 15 K, at the flight's level, speed and flow."""
+
+
+def reference_air(n: int, level_m: float = REFERENCE_M) -> dict[str, Array]:
+    """Return `altitude_m, mach, tat_k, total_pressure_pa` of the reference cruise, or of another level, (n,) each."""
+    altitude_m, mach = np.full(n, level_m), np.full(n, REFERENCE_MACH)
+    return {
+        "altitude_m": altitude_m,
+        "mach": mach,
+        "tat_k": standard_temperature_k(altitude_m) * total_to_static_temperature(mach),
+        "total_pressure_pa": standard_pressure_pa(altitude_m) * total_to_static_pressure(mach),
+    }
+
+
+def hot_day_tat_k(altitude_m: Array, mach: Array) -> Array:
+    """Compute total air temperature of the hot day. [K]"""
+    return np.asarray((standard_temperature_k(altitude_m) + HOT_DAY_K) * total_to_static_temperature(mach))

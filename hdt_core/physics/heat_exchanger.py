@@ -1,12 +1,10 @@
-"""The air-to-air heat exchanger of the pack: conductance that follows the flows, and effectiveness.
+"""The air-to-air heat exchanger of the pack: heat that its air takes up, conductance by the flows, outlets.
 
-The default for health. The paper's equations (7)-(8) are beside their fit, in `extensions/hdt_benchmark`.
+The default for health. The paper's equations (7)-(8) are in `extensions/hdt_benchmark`.
 """
 
-from hdt_core.physics.air import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.physics.effectiveness import crossflow_effectiveness, crossflow_ntu
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
-from hdt_core.physics.ram_duct import TAT
 
 REFERENCE_HOT_FLOW_KG_S = 0.9
 REFERENCE_RAM_FLOW_KG_S = 1.6
@@ -18,6 +16,66 @@ FILM_EXPONENT = 0.38
 OUTLET_ROUNDS = 4
 CP_HOT_J_KG_K, CP_COLD_J_KG_K = 1009.0, 1005.0
 """Constants of equations (7)-(8): specific heat of air at the mean temperature of each side, 330 and 270 K. [J/kg/K]"""
+CP_300_J_KG_K, CP_SLOPE, CP_CURVE = 1004.66, 0.05216, 3.556e-4
+"""Parabola of `specific_heat_j_kg_k` about 300 K. [J/kg/K], [J/kg/K2], [J/kg/K3]"""
+WARMING_ROUNDS = 6
+
+
+def specific_heat_j_kg_k(temperature_k: Array) -> Array:
+    r"""Isobaric specific heat of dry air at low pressure. [J/kg/K]
+
+    Parameters
+    ----------
+    temperature_k : array
+        Static temperature. [K], 210 to 500
+
+    Notes
+    -----
+    .. math:: c_p = 1004.66 + 0.05216 (T - 300) + 3.556 \cdot 10^{-4} (T - 300)^2
+
+    A least-squares parabola through the ideal-gas heat capacity of [1]_, within 0.4 J/kg/K of it. At 250 kPa the real
+    gas lies 0.1 % (400 K) to 0.6 % (250 K) above.
+
+    References
+    ----------
+    .. [1] E. W. Lemmon et al., J. Phys. Chem. Ref. Data 29, 331, 2000 (as CoolProp evaluates it).
+
+    Examples
+    --------
+    >>> round(specific_heat_j_kg_k(300.0), 2)
+    1004.66
+    """
+    above_k = temperature_k - 300.0
+    return CP_300_J_KG_K + CP_SLOPE * above_k + CP_CURVE * above_k**2
+
+
+def mean_specific_heat_j_kg_k(from_k: Array, to_k: Array) -> Array:
+    """Enthalpy difference over temperature difference: the mean of `specific_heat_j_kg_k` between two temperatures.
+
+    Examples
+    --------
+    >>> round(mean_specific_heat_j_kg_k(300.0, 400.0), 2)
+    1008.45
+    """
+    one_k, other_k = from_k - 300.0, to_k - 300.0
+    square_terms = one_k**2 + one_k * other_k + other_k**2
+    return CP_300_J_KG_K + CP_SLOPE / 2.0 * (one_k + other_k) + CP_CURVE / 3.0 * square_terms
+
+
+def warmed_k(from_k: Array, heat_j_kg: Array) -> Array:
+    """Temperature of air from `from_k` after so much heat at constant pressure. [K]
+
+    Each round leaves a few thousandths of the error of the one before, a hundredth after 250 K: 1e-10 K at the end.
+
+    Examples
+    --------
+    >>> round(warmed_k(300.0, 100845.0), 3)
+    400.0
+    """
+    to_k = from_k + heat_j_kg / mean_specific_heat_j_kg_k(from_k, from_k)
+    for _ in range(WARMING_ROUNDS):
+        to_k = from_k + heat_j_kg / mean_specific_heat_j_kg_k(from_k, to_k)
+    return to_k
 
 
 def clean_conductance_w_k(
@@ -170,6 +228,8 @@ def steady_exchanger(
     return outlets_k(hot_flow_kg_s, ram_flow_kg_s, hot_in_k, cold_in_k, ua_w_k)
 
 
+TAT = Signal("tat_k", "K", sigma=0.3, bias_sd=0.5)
+"""Total air temperature, with one probe an aircraft."""
 INPUTS = (
     Signal("hot_flow_kg_s", "kg/s", sigma=0.01, gain_sd=0.02),
     Signal("ram_flow_kg_s", "kg/s"),

@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from hdt_core.margin.conditions import repeated_demand
+from hdt_core.margin.first_passage import repeated_demand
 from hdt_core.prognosis.feature_rows import FeatureRows
 from hdt_core.prognosis.hazard import event_by, fit_hazard, hazards
 from hdt_core.prognosis.history import RISES, Panel, feature_rows, record_rows

@@ -9,8 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from hdt_core.margin.conditions import DEMAND_NAMES, LEVELS, demand_quantiles
-from hdt_core.margin.first_passage import RATIO_SD, passage, wear_rate
+from hdt_core.margin.first_passage import DEMAND_NAMES, LEVELS, RATIO_SD, demand_quantiles, passage, wear_rate
 from hdt_core.robust import Array
 
 Index = NDArray[np.int_]

@@ -5,8 +5,8 @@ from itertools import product
 
 import numpy as np
 
-from hdt_core.margin.conditions import repeated_demand
 from hdt_core.margin.exchanger_demand import SHARES
+from hdt_core.margin.first_passage import repeated_demand
 from hdt_core.margin.margin import PRIOR_RULE, MessageRule
 from hdt_core.robust import Array
 

@@ -13,7 +13,7 @@ import numpy as np
 from hdt_core.physics.air import R_J_KG_K, total_to_static_pressure
 from hdt_core.physics.compressor import HEAD, exit_temperature_k
 from hdt_core.physics.heat_exchanger import clean_conductance_w_k, measured_conductance_w_k, outlets_k
-from hdt_core.physics.ram_duct import ram_flow
+from hdt_core.physics.installed_exchanger import ram_flow
 from hdt_core.robust import Array
 from hdt_core.simulate.design import PackDesign
 from hdt_core.simulate.flight_conditions import Conditions

@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 from scipy.signal import lfilter
 
-from hdt_core.physics.air import specific_heat_j_kg_k
+from hdt_core.physics.heat_exchanger import specific_heat_j_kg_k
 from hdt_core.robust import Array
 from hdt_core.simulate.design import Operator, PackDesign
 from hdt_core.simulate.flight_conditions import Conditions, Schedule

@@ -11,7 +11,7 @@ from polars.testing import assert_frame_equal
 
 from hdt_benchmark.fault_injection import DoorLimit, Fouling, SensorFault, inject
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.physics.air import mean_specific_heat_j_kg_k
+from hdt_core.physics.heat_exchanger import mean_specific_heat_j_kg_k
 from hdt_core.simulate.recorder import LB_PER_MIN
 from hdt_core.tracking.track import track
 

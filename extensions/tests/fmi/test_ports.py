@@ -6,8 +6,8 @@ import pytest
 from hdt_benchmark.core_exchanger import CORE_EXCHANGER
 from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
+from hdt_core.physics.installed_exchanger import RAM_DUCT
 from hdt_core.physics.model import Signal
-from hdt_core.physics.ram_duct import RAM_DUCT
 from hdt_fmi.ports import PACK, compose
 
 FLIGHT = {

@@ -11,12 +11,12 @@ from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.compressor import compressor_samples
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.components.unmetered_exchanger import UNMETERED
 from hdt_core.health.features import residual_column, virtual_sensors
 from hdt_core.health.residuals import KINDS, SIGNALS, component_residuals, residuals
 from hdt_core.physics.compressor import exit_temperature_k, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
-from hdt_core.physics.unmetered_exchanger import UNMETERED
 from hdt_core.tables.residuals import Residuals
 
 KEY = ["operator", "tail", "flight_id", "pack"]

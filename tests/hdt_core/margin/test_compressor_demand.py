@@ -17,7 +17,7 @@ from hdt_core.margin.compressor_demand import (
     required_diameter,
     share_left,
 )
-from hdt_core.margin.reference_air import reference_air
+from hdt_core.physics.air import reference_air
 from hdt_core.physics.compressor import HEAD, inlet_flow_kg_s, pressure_ratio
 
 LIMIT_RAD_S = 4500.0

@@ -9,9 +9,16 @@ import pytest
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.margin import exchanger_demand as exchanger_demand_module
-from hdt_core.margin.curves import falls_through
-from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS, exchanger_demand, full_open_outlet_k
-from hdt_core.margin.reference_air import hot_day_tat_k, reference_air
+from hdt_core.margin.exchanger_demand import (
+    CRITICAL,
+    EXCESS_K,
+    HOT_DAY,
+    PARTS,
+    exchanger_demand,
+    falls_through,
+    full_open_outlet_k,
+)
+from hdt_core.physics.air import hot_day_tat_k, reference_air
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 

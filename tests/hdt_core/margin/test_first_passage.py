@@ -8,10 +8,17 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.margin.conditions import DEMAND_NAMES, demand_quantiles, repeated_demand
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K
-from hdt_core.margin.first_passage import PASSAGES, passage, passages, wear_rate
-from hdt_core.margin.reference_air import hot_day_tat_k, reference_air
+from hdt_core.margin.first_passage import (
+    DEMAND_NAMES,
+    PASSAGES,
+    demand_quantiles,
+    passage,
+    passages,
+    repeated_demand,
+    wear_rate,
+)
+from hdt_core.physics.air import hot_day_tat_k, reference_air
 
 WEIGHTS = (0.65, 0.2, 0.075, 0.04, 0.025, 0.01)
 """Flights that the quantiles .5, .8, .9, .95, .98 and 1 stand for: to half the way to the next."""

@@ -7,9 +7,8 @@ import polars as pl
 import pytest
 
 from hdt_core.flight.control_schedules import SpeedLimit, speed_limit
-from hdt_core.margin.compressor_demand import CRITICAL_DIAMETER, FLOWS, WIDEST
-from hdt_core.margin.curves import falls_through, read_across
-from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS
+from hdt_core.margin.compressor_demand import CRITICAL_DIAMETER, FLOWS, WIDEST, read_across
+from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS, falls_through
 from hdt_core.margin.margin import PRIOR_RULE, at_excess, compressor_margin, exchanger_margin, ln_ratio_margin
 
 KEY = {"operator": "TST", "tail": "T", "pack": 1}

@@ -9,19 +9,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from hdt_core.physics.air import mean_specific_heat_j_kg_k
+from hdt_core.components.unmetered_exchanger import SPRAYED, UNMETERED, effectiveness, ram_flux_kg_s_m2
 from hdt_core.physics.effectiveness import crossflow_effectiveness
 from hdt_core.physics.heat_exchanger import (
     HEAT_EXCHANGER,
     capacity_rates,
     clean_conductance_w_k,
     film_gains,
+    mean_specific_heat_j_kg_k,
     measured_conductance_w_k,
     outlets_k,
 )
 from hdt_core.physics.installed_exchanger import DESIGN, NAMES, ln_clean_conductance
 from hdt_core.physics.terms import TERMS, correct_signals, record_signals, saturation_pressure_pa, within
-from hdt_core.physics.unmetered_exchanger import SPRAYED, UNMETERED, effectiveness, ram_flux_kg_s_m2
 
 flows = st.floats(0.2, 3.0)
 conductances = st.floats(100.0, 4000.0)

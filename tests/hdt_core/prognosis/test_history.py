@@ -5,8 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from hdt_core.margin.conditions import LEVELS
-from hdt_core.margin.first_passage import passage, wear_rate
+from hdt_core.margin.first_passage import LEVELS, passage, wear_rate
 from hdt_core.prognosis.history import FEATURES, RECORD, RISES, UNITS_AT_ONCE, Panel, feature_rows, record_rows
 
 

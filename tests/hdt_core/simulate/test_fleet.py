@@ -6,8 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.physics.air import mean_specific_heat_j_kg_k
 from hdt_core.physics.compressor import effective_diameter_m
+from hdt_core.physics.heat_exchanger import mean_specific_heat_j_kg_k
 from hdt_core.simulate import packs
 from hdt_core.simulate.design import FleetSettings, draw_design
 from hdt_core.simulate.episodes import LEAD, EpisodeSettings, draw_episodes

@@ -10,9 +10,9 @@ from by_hand import flights, log
 from polars.testing import assert_frame_equal
 
 from hdt_core.components import Component, Limit, Reading, components
+from hdt_core.components.unmetered_exchanger import UNMETERED, sprayed_hot_out_k
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.physics.model import Param, PhysicsModel, Signal
-from hdt_core.physics.unmetered_exchanger import UNMETERED, sprayed_hot_out_k
 from hdt_core.tracking.component import (
     DesignOffset,
     _loss,
