@@ -13,7 +13,7 @@ import polars as pl
 
 from benchmarks.fleets import Frames
 from benchmarks.harness import markdown
-from hdt_core.alerts.threshold_study import trials
+from hdt_core.alerts.alerts import trials
 
 PACK = ["tail", "pack"]
 FOLLOWED, BEFORE = 200, 300

@@ -11,10 +11,19 @@ from hdt_core.alerts.alerts import SCHEMA, alert_rows
 from hdt_core.alerts.case_closure import close_after_work
 from hdt_core.alerts.cases import Case, Limits, runs
 from hdt_core.alerts.diagnoses import Diagnosis
-from hdt_core.alerts.evidence import NEUTRAL, SUPPORTS, Corroboration, Evidence
+from hdt_core.alerts.evidence import (
+    NEUTRAL,
+    SUPPORTS,
+    Corroboration,
+    Evidence,
+    Facts,
+    graded,
+    loss_finding,
+    trend,
+    within,
+)
 from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.wear import odds_above
-from hdt_core.alerts.wording import Facts, graded, loss_finding, trend, within
 from hdt_core.components import Component
 from hdt_core.health.detection import persistent
 from hdt_core.health.features import features

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdt_core.alerts import wording
+from hdt_core.alerts import evidence
 from hdt_core.alerts.cases import REPAIR, Case
-from hdt_core.alerts.evidence import Evidence
+from hdt_core.alerts.evidence import Evidence, Facts
 from hdt_core.alerts.grid import Grid
-from hdt_core.alerts.wording import Facts
 from hdt_core.components.compressor import CC
 from hdt_core.components.exchanger import HX
 
@@ -86,8 +85,8 @@ DIAGNOSES = {
             name="heat exchanger fouling",
             action=HX.action,
             ended_by=HX.ended_by,
-            severity=wording.exchanger_severity,
-            evidence=wording.exchanger,
+            severity=evidence.exchanger_severity,
+            evidence=evidence.exchanger,
             features=_EXCHANGER,
         ),
         Diagnosis(
@@ -98,7 +97,7 @@ DIAGNOSES = {
             "(ATA 21-52, detailed visual inspection)",
             ended_by=HX.ended_by,
             severity=lambda facts: "high",
-            evidence=wording.clog,
+            evidence=evidence.clog,
             features=_EXCHANGER,
         ),
         Diagnosis(
@@ -109,7 +108,7 @@ DIAGNOSES = {
             "keep the aircraft off hot sectors where it can be, and wash at the next stop",
             ended_by=HX.ended_by,
             severity=lambda facts: "high" if facts["hx_passage_100"] > 0.5 else "medium",
-            evidence=wording.low_margin,
+            evidence=evidence.low_margin,
             features=(*_EXCHANGER, *_MARGIN),
             ended_by_sound=False,  # its evidence already excludes wear as the only cause
         ),
@@ -120,7 +119,7 @@ DIAGNOSES = {
             action=CC.action,
             ended_by=CC.ended_by,
             severity=lambda facts: "medium",
-            evidence=wording.compressor,
+            evidence=evidence.compressor,
             features=_COMPRESSOR,
         ),
         Diagnosis(
@@ -130,7 +129,7 @@ DIAGNOSES = {
             action="Operational test of the ram air inlet door and its actuator (ATA 21-53); rig or replace",
             ended_by=REPAIR,
             severity=lambda facts: "high" if facts["kind"] == "jam" else "medium",
-            evidence=wording.door,
+            evidence=evidence.door,
         ),
         Diagnosis(
             code="SENSOR_FAULT",
@@ -138,9 +137,9 @@ DIAGNOSES = {
             name="sensor fault",
             action="Check connector and wiring, then replace the sensor (ATA 21-61)",
             ended_by=REPAIR,
-            severity=wording.sensor_severity,
-            evidence=wording.sensor,
-            addendum=wording.sensor_addendum,
+            severity=evidence.sensor_severity,
+            evidence=evidence.sensor,
+            addendum=evidence.sensor_addendum,
         ),
     )
 }

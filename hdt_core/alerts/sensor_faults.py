@@ -7,9 +7,8 @@ import numpy as np
 import polars as pl
 
 from hdt_core.alerts.cases import REPAIR, Case, Limits, runs
-from hdt_core.alerts.fault_isolation import Indications
+from hdt_core.alerts.fault_isolation import CHANNELS, HX_STEP, SHARED_SENSORS, Indications
 from hdt_core.alerts.grid import Grid
-from hdt_core.alerts.signatures import CHANNELS, HX_STEP, SHARED_SENSORS
 from hdt_core.health.detection import Array, Cusum, persistent, watch
 from hdt_core.tables.signals import SIGNALS
 

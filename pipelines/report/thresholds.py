@@ -6,7 +6,7 @@ from typing import Any
 
 import duckdb
 
-from hdt_core.alerts.threshold_study import Trial, trials
+from hdt_core.alerts.alerts import Trial, trials
 from pipelines.storage.catalog import connect
 from pipelines.storage.headers import read_header
 from pipelines.storage.publication import order_views, views

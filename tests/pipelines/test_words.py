@@ -10,8 +10,8 @@ from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po
 
 from docs import translations
+from hdt_core.alerts.fault_isolation import CHANNELS
 from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
-from hdt_core.alerts.signatures import CHANNELS
 from hdt_core.loading import UserError
 from hdt_core.tables.signals import Signals
 from pipelines import words

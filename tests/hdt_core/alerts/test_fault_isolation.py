@@ -7,9 +7,18 @@ import polars as pl
 import pytest
 
 from hdt_core.alerts import fault_isolation
-from hdt_core.alerts.fault_isolation import MEDIAN_WORTH, Indications, _median_z
+from hdt_core.alerts.fault_isolation import (
+    CHANNELS,
+    HX_STEP,
+    MEDIAN_WORTH,
+    NO_SENSOR,
+    SIZES,
+    Indications,
+    _median_z,
+    classify,
+    signatures,
+)
 from hdt_core.alerts.grid import Grid
-from hdt_core.alerts.signatures import CHANNELS, HX_STEP, NO_SENSOR, SIZES, classify, signatures
 from hdt_core.health.detection import Shift, watch
 
 

@@ -8,10 +8,9 @@ from one_pack import FLIGHTS, departure, grid, spans, work, work_before
 from hdt_core.alerts import sensor_faults
 from hdt_core.alerts.cases import Case, Limits
 from hdt_core.alerts.door_faults import door_cases
-from hdt_core.alerts.fault_isolation import Indications
+from hdt_core.alerts.fault_isolation import CHANNELS, Indications
 from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.sensor_faults import outlet_doubtful, sensor_cases
-from hdt_core.alerts.signatures import CHANNELS
 from hdt_core.health.detection import Shift, watch
 
 FLIGHT = np.arange(FLIGHTS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from hdt_core.alerts import wording
+from hdt_core.alerts import evidence as wording
 from hdt_core.alerts.cases import FAILS_AT
 from hdt_core.alerts.diagnoses import DIAGNOSES
 

@@ -1,6 +1,6 @@
 """Alerts at other limits, judged by the catalog's own views."""
 
-from hdt_core.alerts.threshold_study import VALUES
+from hdt_core.alerts.alerts import VALUES
 from pipelines.report.thresholds import thresholds
 from pipelines.storage.catalog import connect
 
