@@ -16,8 +16,8 @@ import ht
 import numpy as np
 
 from benchmarks.harness import Texts, race_table, run
-from hdt_benchmark.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
 from hdt_benchmark.peers import conductance_claim, filter_claim, fit_claim, over
+from hdt_benchmark.spring_mass_damper import DT_S, SIGMA_M, force_n, oscillator_problem
 from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.estimation import ParticleSwarm, Problem
 from hdt_core.physics.effectiveness import crossflow_effectiveness

@@ -7,9 +7,8 @@ the drive sets how much of it the record shows. Truth: damping 0.5 N s/m, stiffn
 import numpy as np
 
 from benchmarks.harness import Texts, markdown, run
-from hdt_benchmark.oscillator import DT_S, SIGMA_M, TRUTH, WRONG_GUESS, force_n
 from hdt_benchmark.oscillator_kernels import oscillator_kernels
-from hdt_benchmark.spring_mass_damper import SPRING_MASS_DAMPER
+from hdt_benchmark.spring_mass_damper import DT_S, SIGMA_M, SPRING_MASS_DAMPER, TRUTH, WRONG_GUESS, force_n
 from hdt_core.estimation import Estimate, estimators
 from hdt_core.estimation.compiled import COMPILED
 from hdt_core.estimation.declared import declared_problem

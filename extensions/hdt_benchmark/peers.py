@@ -10,7 +10,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.optimize import brentq, least_squares
 
-from hdt_benchmark.oscillator import DT_S, SIGMA_M, force_n, oscillator_problem
+from hdt_benchmark.spring_mass_damper import DT_S, SIGMA_M, force_n, oscillator_problem
 from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, Problem, unknown
 from hdt_core.physics.effectiveness import crossflow_effectiveness

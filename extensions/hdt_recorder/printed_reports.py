@@ -9,8 +9,7 @@ import polars as pl
 from hdt_core.tables.raw import RawReports
 from hdt_recorder.decoding.layout import MapError
 from hdt_recorder.decoding.printed import Layout, LayoutError, ReportLine, read_layouts, read_reports
-from hdt_recorder.decoding.report_heads import ReportHead, report_heads
-from hdt_recorder.decoding.report_layouts import A330
+from hdt_recorder.decoding.report_layouts import A330, ReportHead, report_heads
 from hdt_recorder.recordings import MOST_BYTES, read_recording, unpacked_bytes
 from hdt_recorder.types_of_zone import types_of
 from pipelines.intake.columns import SIGNAL_COLUMNS

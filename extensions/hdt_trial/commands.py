@@ -76,15 +76,14 @@ def stamp_trial(home: HomeDir = None) -> None:
 
     Store the reply beside it; `hdt trial verify --authority` checks it.
     """
-    from hdt_trial.log import entries
+    from hdt_trial.log import entries, stamp_request
     from hdt_trial.seal import log_folder
-    from hdt_trial.stamp import request
 
     with _one_line():
         folder = log_folder(home_folder(home))
         if not (log := entries(folder)):
             raise StopError("no trial was started here; `hdt trial start` does")
-        target = request(folder, log[-1])
+        target = stamp_request(folder, log[-1])
     out.print(f"{target}; store the authority's reply beside it as {target.with_suffix('.tsr').name}", soft_wrap=True)
 
 
@@ -102,16 +101,14 @@ def verify_trial(
 
     Exit code 1 if one was. A log that was replaced as a whole is detected only with a digest stored elsewhere.
     """
-    from hdt_trial.log import entries, faults
+    from hdt_trial.log import entries, faults, stamp_faults, stamps
     from hdt_trial.seal import log_folder
-    from hdt_trial.stamp import faults as faults_of_stamps
-    from hdt_trial.stamp import stamps
 
     with _one_line():
         folder = log_folder(home_folder(home))
         problems = list(faults(folder, digest or (), head))
         if not problems and authority:
-            problems = faults_of_stamps(folder, entries(folder), authority)
+            problems = stamp_faults(folder, entries(folder), authority)
     for fault in problems:
         err.print(f"FAULT: {fault}", markup=False, soft_wrap=True)
     if problems:

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import duckdb
 
-from hdt_trial.document import Part, bullets, code, document, heading, section, table, verbatim
 from hdt_trial.frozen import frozen
 from hdt_trial.log import entries
 from hdt_trial.log import faults as faults_of_log
+from hdt_trial.page import Part, bullets, code, document, heading, section, table, verbatim
 from hdt_trial.seal import log_folder
 from pipelines.lineage import STAGES
 from pipelines.storage.catalog import connect

@@ -3,12 +3,14 @@
 Anyone can check it with `sha256sum` and a text editor: the digest of entry k is that of its file, and entry k + 1 names
 it as `previous`. The last digest, the head, is also kept in `heads.txt` and printed each night. Someone who can write
 here can make a whole new chain, heads included: only a digest that left the house, on paper, in a mail or under a time
-stamp (`stamp.py`), reveals that.
+stamp, reveals that: RFC 3161 stamps are made and verified by the `openssl` program. Nothing here talks to a network:
+the request is a file that someone takes to a time-stamping authority, and its answer is a file that is laid beside it.
 """
 
 import hashlib
 import json
 import re
+import subprocess
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -133,3 +135,49 @@ def _read(file: Path) -> LogEntry:
         return LogEntry(int(record["number"]), record["kind"], at, record["previous"], dict(record["body"]), digest)
     except (ValueError, KeyError, TypeError):
         raise TrialError(f"{file.name} is not a valid entry") from None
+
+
+def stamp_request(folder: Path, entry: LogEntry) -> Path:
+    """Write the request for an entry's digest, `<number>.tsq`; the answer belongs beside it as `<number>.tsr`."""
+    target = folder / f"{entry.number:05}.tsq"
+    _openssl("ts", "-query", "-digest", entry.digest, "-sha256", "-cert", "-out", str(target))
+    return target
+
+
+def stamp_faults(folder: Path, log: list[LogEntry], authority: Path) -> list[str]:
+    """List the stamps that fail verification.
+
+    Parameters
+    ----------
+    folder : Path
+        The log, with the answers `<number>.tsr`.
+    log : list of LogEntry
+        Its entries.
+    authority : Path
+        The authority's certificate, PEM.
+    """
+    messages = []
+    for answer in stamps(folder):
+        number = int(answer.stem) if answer.stem.isdecimal() else len(log)
+        if number >= len(log):
+            messages.append(f"{answer.name} belongs to no entry")
+            continue
+        try:
+            _openssl("ts", "-verify", "-digest", log[number].digest, "-in", str(answer), "-CAfile", str(authority))
+        except TrialError:
+            messages.append(f"{answer.name} does not match entry {number}")
+    return messages
+
+
+def stamps(folder: Path) -> list[Path]:
+    """List the replies stored beside the log."""
+    return sorted(folder.glob("*.tsr"))
+
+
+def _openssl(*arguments: str) -> None:
+    try:
+        done = subprocess.run(["openssl", *arguments], capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        raise TrialError("time stamps need the program openssl, which is not installed") from None
+    if done.returncode:
+        raise TrialError(f"openssl: {(done.stderr or done.stdout).strip().splitlines()[-1]}")

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hdt_recorder.decoding.bitstream import Bytes
-from hdt_recorder.decoding.coding import Words
+from hdt_recorder.decoding.coding import Bytes, Words
 from hdt_recorder.decoding.frames_767 import Recording767
 from hdt_recorder.decoding.layout import Parameter, Piece
 from hdt_recorder.decoding.timeline_717 import Flags, Recording717

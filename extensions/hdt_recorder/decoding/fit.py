@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from hdt_recorder.decoding.bitstream import Bytes, Packing
+from hdt_recorder.decoding.coding import Bytes, Packing
 from hdt_recorder.decoding.decode import Series, decode_717, decode_767
 from hdt_recorder.decoding.frames_717 import find_packing, find_word_count
 from hdt_recorder.decoding.frames_767 import Recording767, WholeFrames, arrange_767, find_frames

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hdt_recorder.decoding.bitstream import PACKINGS, Bytes, Packing, Words12
+from hdt_recorder.decoding.coding import PACKINGS, Bytes, Packing, Words12
 from hdt_recorder.decoding.layout import SYNC_WORDS
 
 WORD_COUNTS = tuple(64 << i for i in range(6))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hdt_recorder.decoding.bitstream import Bytes
+from hdt_recorder.decoding.coding import Bytes
 from hdt_recorder.decoding.layout import FILLED_GAP_S, HEAD_767, Damage, Frame767
 
 SYNC_767 = 0xEB90

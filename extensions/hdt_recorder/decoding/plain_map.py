@@ -17,10 +17,12 @@ from hdt_recorder.decoding.layout import (
     MapError,
     Parameter,
     ParameterMap,
+    Place,
     Sample,
     lay_out,
+    sample_at,
+    word_bits,
 )
-from hdt_recorder.decoding.places import Place, sample_at, word_bits
 
 KINDS = ("binary", "bcd", "discrete", "characters", "utc", "float")
 FRAMES_PER_SUPERFRAME = 16

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hdt_recorder.decoding.bitstream import Bytes, Packing, Words12
+from hdt_recorder.decoding.coding import Bytes, Packing, Words12
 from hdt_recorder.decoding.frames_717 import Finder, Run
 from hdt_recorder.decoding.layout import FILLED_GAP_S, Damage, Map717
 

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from hdt_recorder.decoding.coding import Coding, Kind, LookupTable, Polynomial, Step, cut_digits
 from hdt_recorder.decoding.layout import (
+    BITS,
     Counter,
     Frame767,
     Map717,
@@ -19,10 +20,12 @@ from hdt_recorder.decoding.layout import (
     MapError,
     Parameter,
     ParameterMap,
+    Place,
     Sample,
     lay_out,
+    sample_at,
+    word_bits,
 )
-from hdt_recorder.decoding.places import BITS, Place, sample_at, word_bits
 
 T = TypeVar("T")
 KINDS: dict[str, Kind] = {

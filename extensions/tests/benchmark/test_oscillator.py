@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hdt_benchmark.oscillator import SIGMA_M, TRUTH, oscillator_problem, true_position_m
+from hdt_benchmark.spring_mass_damper import SIGMA_M, TRUTH, oscillator_problem, true_position_m
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, ParticleSwarm, UnscentedKalman
 from hdt_core.estimation.identifiability import fisher
 from hdt_estimators import GradientDescent
@@ -26,8 +26,8 @@ def both(seed=3, with_holes=False):
     """The record as compiled and as declared."""
     if not with_holes:
         return oscillator_problem(seed), oscillator_problem(seed, compiled=False)
-    from hdt_benchmark.oscillator import DT_S, force_n
     from hdt_benchmark.oscillator_kernels import oscillator_kernels
+    from hdt_benchmark.spring_mass_damper import DT_S, force_n
 
     declared = oscillator_problem(seed, compiled=False)
     declared = replace(declared, measured=holed(declared))

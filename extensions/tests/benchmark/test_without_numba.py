@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from hdt_benchmark.oscillator import oscillator_problem
+from hdt_benchmark.spring_mass_damper import oscillator_problem
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares
 
 BLOCKED = """
@@ -15,7 +15,7 @@ import json, sys
 sys.modules["numba"] = None  # importing it fails, as where it is not installed
 from test_without_numba import answers
 from hdt_core.estimation.compiled import COMPILED
-from hdt_benchmark.oscillator import oscillator_problem
+from hdt_benchmark.spring_mass_damper import oscillator_problem
 print(json.dumps({
     "compiled": COMPILED, "kernels": oscillator_problem(0).kernels is not None, "answers": answers(),
 }))

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 from recordings import DATA, frames_717, frames_767, message_file, pack, random_raw
 
-from hdt_recorder.decoding.bitstream import PACKINGS
+from hdt_recorder.decoding.coding import PACKINGS
 from hdt_recorder.decoding.plain_map import read_toml
 from pipelines.cli import main
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hdt_recorder.decoding.bitstream import Packing
+from hdt_recorder.decoding.coding import Packing
 from hdt_recorder.decoding.layout import Map717, Map767
 
 DATA = Path(__file__).parents[1] / "recorder/data"

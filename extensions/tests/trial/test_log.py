@@ -10,9 +10,7 @@ import subprocess
 import pytest
 
 from hdt_trial.declaration import TrialError
-from hdt_trial.log import HEADS, append, entries, faults
-from hdt_trial.stamp import faults as faults_of_stamps
-from hdt_trial.stamp import request
+from hdt_trial.log import HEADS, append, entries, faults, stamp_faults, stamp_request
 
 NOW = dt.datetime(2026, 3, 1, tzinfo=dt.UTC)
 
@@ -156,7 +154,7 @@ def test_a_time_stamp_holds_for_its_entry_alone(sealed, tmp_path):
     folder = tmp_path / "log"
     shutil.copytree(sealed, folder)
     log = entries(folder)
-    query, authority = request(folder, log[-1]), tmp_path / "tsa.pem"
+    query, authority = stamp_request(folder, log[-1]), tmp_path / "tsa.pem"
     (tmp_path / "tsa.cnf").write_text(
         "[req]\ndistinguished_name=dn\nx509_extensions=ext\nprompt=no\n[dn]\nCN=Our authority\n"
         "[ext]\nextendedKeyUsage=critical,timeStamping\n[tsa]\ndefault_tsa=own\n[own]\n"
@@ -168,6 +166,6 @@ def test_a_time_stamp_holds_for_its_entry_alone(sealed, tmp_path):
         f"-out {query.with_suffix('.tsr')}",
     ):
         subprocess.run(["openssl", *words.split()], check=True, capture_output=True)
-    assert faults_of_stamps(folder, log, authority) == []
+    assert stamp_faults(folder, log, authority) == []
     query.with_suffix(".tsr").rename(folder / "00003.tsr")
-    assert faults_of_stamps(folder, log, authority) == ["00003.tsr does not match entry 3"]
+    assert stamp_faults(folder, log, authority) == ["00003.tsr does not match entry 3"]

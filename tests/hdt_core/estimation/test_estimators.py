@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hdt_benchmark.oscillator import TRUTH, oscillator_problem
+from hdt_benchmark.spring_mass_damper import TRUTH, oscillator_problem
 from hdt_core.estimation import Belief, Problem, estimators, unknown
 
 EVERY = pytest.mark.parametrize("estimator", estimators().values(), ids=lambda e: e.name)

@@ -9,7 +9,7 @@ from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints
 from filterpy.kalman import UnscentedKalmanFilter as FilterpyUnscented
 from scipy.stats import multivariate_normal
 
-from hdt_benchmark.oscillator import oscillator_problem
+from hdt_benchmark.spring_mass_damper import oscillator_problem
 from hdt_core.estimation import Belief, ExtendedKalman, Problem, UnscentedKalman, unknown
 from hdt_core.estimation.kalman import forward, smooth
 from hdt_core.estimation.kalman_step import tangent

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recordings import DATA, frames_717, frames_767, pack, random_raw
 
-from hdt_recorder.decoding.bitstream import PACKINGS, Packing
+from hdt_recorder.decoding.coding import PACKINGS, Packing
 from hdt_recorder.decoding.fit import decode
 from hdt_recorder.decoding.frames_717 import find_packing
 from hdt_recorder.decoding.frames_767 import arrange_767, find_frames

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recordings import DATA, frames_717, frames_767, pack, random_raw
 
-from hdt_recorder.decoding.bitstream import PACKINGS
+from hdt_recorder.decoding.coding import PACKINGS
 from hdt_recorder.decoding.fit import recognise
 from hdt_recorder.decoding.frames_717 import WORD_COUNTS
 from hdt_recorder.decoding.layout import MapError, Piece, Sample

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from recordings import DATA, frames_717, frames_767, pack, random_raw, vec
 
-from hdt_recorder.decoding.bitstream import PACKINGS
-from hdt_recorder.decoding.coding import LookupTable, Polynomial, Segments
+from hdt_recorder.decoding.coding import PACKINGS, LookupTable, Polynomial, Segments
 from hdt_recorder.decoding.fit import decode, recognise
 from hdt_recorder.decoding.layout import MapError
 from hdt_recorder.decoding.plain_map import read_csv, read_toml

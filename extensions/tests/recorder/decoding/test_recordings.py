@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import DATA, frames_717, frames_767, pack, random_raw
 
-from hdt_recorder.decoding.bitstream import PACKINGS
-from hdt_recorder.decoding.coding import Coding
+from hdt_recorder.decoding.coding import PACKINGS, Coding
 from hdt_recorder.decoding.fit import decode, recognise
 from hdt_recorder.decoding.frames_717 import WORD_COUNTS
 from hdt_recorder.decoding.layout import Counter, Map717, Parameter, Piece, Sample
