@@ -30,7 +30,7 @@ from hdt_core.estimation import NonlinearLeastSquares
 from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.robust import Z_90
-from hdt_core.tracking.sequential import flight_by_flight
+from hdt_core.tracking.component import flight_by_flight
 
 PAGE = DOCS / "calibration.md"
 Z95 = 1.960

@@ -8,20 +8,25 @@ import polars as pl
 from benchmarks.chain import admit_fleet
 from benchmarks.fleets import fleet_of
 from hdt_core.calibration import exchanger as hx
-from hdt_core.calibration import exchanger_fit
 from hdt_core.calibration.arrays import cruise_samples, flights_of
 from hdt_core.calibration.calibrate import calibrate
-from hdt_core.calibration.compressor import compressor_samples, probe_corrections
-from hdt_core.calibration.compressor_fit import fit_compressor
-from hdt_core.calibration.design_table import elasticities, flow_elasticities
-from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.compressor import compressor_samples, fit_compressor
+from hdt_core.calibration.dsm import Dsm, elasticities, flow_elasticities
 from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.calibration.sensor_biases import probe_corrections
 from hdt_core.flight.legs import baseline_flights
 from hdt_core.physics.compressor import inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK, PACK
-from hdt_core.simulate import flight_conditions
-from hdt_core.simulate.design import FleetSettings, PackDesign, draw_design, draw_operators
+from hdt_core.simulate.design import (
+    CLIMB_S,
+    FleetSettings,
+    PackDesign,
+    conditions,
+    draw_design,
+    draw_operators,
+    draw_schedule,
+)
 from hdt_core.simulate.packs import clean, outlets
 from hdt_core.simulate.signals import demand
 from hdt_core.tracking.track import track
@@ -45,10 +50,8 @@ def envelope_of(seed: int) -> tuple[PackDesign, Envelope]:
     design, operators = draw_design(draw), draw_operators(draw, SIZE)
     parts = []
     for operator in operators:
-        schedule = flight_conditions.draw_schedule(rng, operator, 200)
-        now = flight_conditions.conditions(
-            rng, schedule, np.arange(200), flight_conditions.CLIMB_S + 0.5 * schedule.cruise_s
-        )
+        schedule = draw_schedule(rng, operator, 200)
+        now = conditions(rng, schedule, np.arange(200), CLIMB_S + 0.5 * schedule.cruise_s)
         wanted_air, door = demand(rng, design, now), rng.uniform(0.15, 0.75, 200)
         out, ram_out, ram, ua = outlets(design, now, wanted_air, door, clean(now.mach))
         signals = {n: getattr(now, n) for n in ("altitude_m", "mach", "tat_k", "total_pressure_pa")}
@@ -88,11 +91,11 @@ def law_errors(dsm: Dsm, at: Envelope) -> dict[str, float]:
 
 def naive_shape(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, at: Envelope) -> float:
     """The peer: the same fit with health held at zero and flights compared as they come."""
-    step, exchanger_fit.HEALTH_STEP = exchanger_fit.HEALTH_STEP, 1e-6
+    step, hx.HEALTH_STEP = hx.HEALTH_STEP, 1e-6
     try:
         dsm = calibrate(samples, legs, maintenance)
     finally:
-        exchanger_fit.HEALTH_STEP = step
+        hx.HEALTH_STEP = step
     return law_errors(dsm, at)["used_shape"]
 
 

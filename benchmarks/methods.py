@@ -22,15 +22,13 @@ from hdt_core.calibration.arrays import complete_air_data, cruise_samples, fligh
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.components import Component
-from hdt_core.components.compressor import CC
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import CC, HX
 from hdt_core.estimation import Estimator, estimators
 from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
 from hdt_core.robust import Z_90
 from hdt_core.simulate.design import FleetSettings
-from hdt_core.tracking.component import calibrate_component, track_component
+from hdt_core.tracking.component import calibrate_component, flight_by_flight, track_component
 from hdt_core.tracking.component_units import design_offset
-from hdt_core.tracking.sequential import flight_by_flight
 from hdt_core.tracking.track import track
 
 METHODS = ("nls", "pso", "ekf", "ukf", "pinn")

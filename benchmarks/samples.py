@@ -1,7 +1,7 @@
 """A fleet with truth that this project did not simulate: its record from a home, its truth from a folder.
 
 The home is one that `hdt nightly` has filled; the folder holds `health.parquet` and `events.parquet` of the same
-flights, in the columns of `hdt_core.simulate.truth`.
+flights, in the columns of `hdt_core.simulate.fleet`.
 """
 
 from pathlib import Path

@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.harness import Texts, markdown, run
 from hdt_benchmark.spring_mass_damper import TRUTH, oscillator_problem, true_position_m
 from hdt_core.estimation import Estimate, Estimator, ExtendedKalman, ParticleSwarm, UnscentedKalman, estimators
-from hdt_core.estimation.identifiability import fisher
+from hdt_core.estimation.fit import fisher
 from hdt_core.robust import Z_90
 
 SLOW = {"pinn", "particle", "rls", "strong_tracking", "ekf_pso"}

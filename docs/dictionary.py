@@ -11,8 +11,9 @@ from functools import cache
 from itertools import groupby
 from pathlib import Path
 
-from hdt_core.tables import TABLES, hindsight
-from hdt_core.tables.hindsight import DESIGN, REVISIONS
+from docs import hindsight
+from docs.hindsight import DESIGN, REVISIONS
+from hdt_core.tables import TABLES
 from pipelines.storage.catalog import connect
 from pipelines.storage.headers import meanings_of_columns, read_header
 from pipelines.storage.publication import order_views, publish, views

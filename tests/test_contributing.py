@@ -19,7 +19,7 @@ ESTIMATOR = '''"""Least squares that takes more steps."""
 
 from dataclasses import dataclass
 
-from hdt_core.estimation.nls import NonlinearLeastSquares
+from hdt_core.estimation.optimisers import NonlinearLeastSquares
 
 
 @dataclass(frozen=True, slots=True)

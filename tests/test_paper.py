@@ -7,7 +7,7 @@ from typing import NamedTuple
 import pytest
 
 from hdt_core.components import components
-from hdt_core.tables.signals import SIGNALS
+from hdt_core.tables.raw import SIGNALS
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")

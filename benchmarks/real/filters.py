@@ -20,8 +20,7 @@ from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.prognosis.hazard import EDGES, quantile
 from hdt_core.prognosis.metrics import constant_interval_score, interval_score
-from hdt_core.tracking.component import DesignOffset, calibrate_component, track_component
-from hdt_core.tracking.sequential import flight_by_flight
+from hdt_core.tracking.component import DesignOffset, calibrate_component, flight_by_flight, track_component
 
 FAILS_PA = 600.0
 SECOND = 10

@@ -15,8 +15,7 @@ from sklearn.model_selection import GroupKFold, cross_val_predict
 from benchmarks.real.recipe import Array, Recipe, Result, scored
 from hdt_core.physics.effectiveness import counterflow_effectiveness
 from hdt_core.physics.model import Param, PhysicsModel, Signal
-from hdt_core.tracking.component import calibrate_component
-from hdt_core.tracking.sequential import flight_by_flight
+from hdt_core.tracking.component import calibrate_component, flight_by_flight
 
 FULL, LEAST = 100, 3
 AS_BUILT = 200

@@ -15,7 +15,7 @@ from scipy.stats import CensoredData, ecdf, weibull_min
 from benchmarks.real.censored import LifeBounds, life_bounds
 from benchmarks.real.normal_behaviour import Array, Flags
 from benchmarks.real.recipe import Recipe, Result, Score, scored
-from hdt_core.simulate.training import draw_fleets
+from hdt_core.prognosis.base import draw_fleets
 
 SPLITS, TABLES = 10, 100
 LAW = weibull_min(2.0, scale=400.0)

@@ -166,7 +166,7 @@ def _regress(
 
 @compiled
 def _cholesky(p: Array, root: Array) -> None:
-    """Lower root of a covariance that may have lost its definiteness; as `hdt_core.estimation.ukf.upper_root`."""
+    """Lower root of a covariance that may have lost its definiteness; as `hdt_core.estimation.kalman.upper_root`."""
     size = np.zeros(J)
     for a in range(J):
         size[a] = np.sqrt(max(p[a, a], 0.0))

@@ -9,10 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from hdt_core.estimation.compiled import compiled
-from hdt_core.estimation.damped import (
+from hdt_core.estimation.compiled import (
     FIRST_DAMPING,
     MOST_DAMPING,
+    compiled,
     damped_step,
     is_exhausted,
     is_settled,

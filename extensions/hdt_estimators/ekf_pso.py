@@ -10,8 +10,8 @@ from hdt_core.estimation.conclude import conclude
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.kalman import recursive_estimate, trajectory
 from hdt_core.estimation.kalman_step import tangent
+from hdt_core.estimation.optimisers import swarm_search
 from hdt_core.estimation.problem import Problem
-from hdt_core.estimation.pso import swarm_search
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hdt_core.estimation.identifiability import fisher, invert_information
+from hdt_core.estimation.fit import fisher, invert_information
 from hdt_core.estimation.problem import Array, Problem, Sample
 
 

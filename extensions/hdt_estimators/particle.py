@@ -10,9 +10,8 @@ import numpy as np
 
 from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.estimate import Estimate
-from hdt_core.estimation.kalman_step import is_moving
+from hdt_core.estimation.kalman_step import is_moving, upper_root
 from hdt_core.estimation.problem import Array, Belief, Problem
-from hdt_core.estimation.ukf import upper_root
 
 NO_ANSWER = 1e290  # misfit where the model has none
 LEAST_ACCEPTED = 0.05  # of the moves; below, the cloud repeats itself and its spread means little

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from hdt_core.alerts.grid import Grid
-from hdt_core.components.compressor import CC
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import CC, HX
 from hdt_core.flight.legs import DOOR_STILL
 from hdt_core.health.detection import Array
 

@@ -13,8 +13,7 @@ from hdt_core.alerts import evidence
 from hdt_core.alerts.cases import REPAIR, Case
 from hdt_core.alerts.evidence import Evidence, Facts
 from hdt_core.alerts.grid import Grid
-from hdt_core.components.compressor import CC
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import CC, HX
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from hdt_core.alerts.cases import REPAIR, Case, Limits, runs
 from hdt_core.alerts.fault_isolation import CHANNELS, HX_STEP, SHARED_SENSORS, Indications
 from hdt_core.alerts.grid import Grid
 from hdt_core.health.detection import Array, Cusum, persistent, watch
-from hdt_core.tables.signals import SIGNALS
+from hdt_core.tables.raw import SIGNALS
 
 OUTLET_CHECKS = ("hx_out_minus_target_k", "hx_out_between_packs_k")
 """Checks that a faulty door of either pack shifts as well as a faulty sensor."""

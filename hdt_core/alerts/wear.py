@@ -6,8 +6,7 @@ from scipy.special import ndtr
 
 from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, REPAIR, WEAR_LIMIT, Case, Limits, fact_after, runs
 from hdt_core.alerts.grid import Grid
-from hdt_core.components.compressor import CC
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import CC, HX
 from hdt_core.health.detection import Array, Cusum, lingering, persistent, since, watch
 
 SETTLED_FLIGHTS = 5

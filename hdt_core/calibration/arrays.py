@@ -8,12 +8,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from hdt_core.calibration.exchanger import SIGNALS
+from hdt_core.flight.legs import MODEL_SIGNALS
 from hdt_core.physics.air import mach_from_pressures, standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.installed_exchanger import with_static_pressure
 from hdt_core.physics.terms import correct_signals
 from hdt_core.records.keys import FLIGHT, FLIGHT_PACK, PACK
-from hdt_core.tables.signals import SIGNALS as RECORDER_SIGNALS
+from hdt_core.tables.raw import SIGNALS
 
 Array = NDArray[Any]
 """Of numbers, counts or flags."""
@@ -64,8 +64,8 @@ def cruise_samples(samples: pl.DataFrame, *, monitored: bool = True) -> pl.DataF
 
 def complete_air_data(cruise: pl.DataFrame) -> pl.DataFrame:
     """Complete the recorder's signals by null columns, and a missing Mach number or total pressure from the other."""
-    missing = [pl.lit(None, dtype=pl.Float64).alias(c) for c in RECORDER_SIGNALS if c not in cruise.columns]
-    cruise = cruise.with_columns(missing).with_columns(pl.col(c).cast(pl.Float64) for c in RECORDER_SIGNALS)
+    missing = [pl.lit(None, dtype=pl.Float64).alias(c) for c in SIGNALS if c not in cruise.columns]
+    cruise = cruise.with_columns(missing).with_columns(pl.col(c).cast(pl.Float64) for c in SIGNALS)
     altitude_m, mach, total_pa = (
         cruise[c].to_numpy().astype(float) for c in ("altitude_m", "mach", "total_pressure_pa")
     )
@@ -80,16 +80,16 @@ def correct_inputs(cruise: pl.DataFrame, terms: Mapping[str, float]) -> pl.DataF
     """Remove the accepted physical terms from recorded cruise samples."""
     if not terms:
         return cruise
-    corrected_signals = correct_signals({name: cruise[name].to_numpy().astype(float) for name in SIGNALS}, terms)
+    corrected_signals = correct_signals({name: cruise[name].to_numpy().astype(float) for name in MODEL_SIGNALS}, terms)
     return cruise.with_columns(pl.Series(name, values).fill_nan(None) for name, values in corrected_signals.items())
 
 
 def level_points(cruise: pl.DataFrame, flights: pl.DataFrame) -> pl.DataFrame:
     """Compute medians over each cruise level of each flight and pack, with `n_samples`."""
     level = (pl.col("altitude_m") / LEVEL_M).round().alias("level")
-    usable = cruise.drop_nulls(list(SIGNALS))
+    usable = cruise.drop_nulls(list(MODEL_SIGNALS))
     points = usable.group_by(*FLIGHT_PACK, level).agg(
-        pl.col(RECORDER_SIGNALS).median(), pl.len().cast(pl.Float64).alias("n_samples")
+        pl.col(SIGNALS).median(), pl.len().cast(pl.Float64).alias("n_samples")
     )
     return points.join(flights, on=FLIGHT_PACK, validate="m:1").sort(*PACK, "order", "level")
 
@@ -97,7 +97,7 @@ def level_points(cruise: pl.DataFrame, flights: pl.DataFrame) -> pl.DataFrame:
 def to_points(frame: pl.DataFrame, packs: pl.DataFrame) -> Points:
     """Convert a frame of points or samples to arrays; `packs` (rows of `PACK`) numbers the packs."""
     rows = frame.join(packs.with_row_index("pack_index"), on=PACK, how="left", maintain_order="left", validate="m:1")
-    signals = {name: rows[name].to_numpy().astype(float) for name in (*SIGNALS, "ram_out_k")}
+    signals = {name: rows[name].to_numpy().astype(float) for name in (*MODEL_SIGNALS, "ram_out_k")}
     return Points(
         with_static_pressure(signals),
         rows["pack_index"].to_numpy().astype(np.int64),

@@ -15,16 +15,15 @@ from hdt_core.calibration.arrays import (
     level_points,
     to_points,
 )
-from hdt_core.calibration.compressor import compressor_samples, probe_corrections
-from hdt_core.calibration.compressor_fit import fit_compressor
+from hdt_core.calibration.baseline_wear import entry_posterior, first_levels, fleet_levels
+from hdt_core.calibration.compressor import compressor_samples, fit_compressor
 from hdt_core.calibration.dsm import Dsm, SensorBiases, version_of
-from hdt_core.calibration.exchanger_fit import exchanger_panel
+from hdt_core.calibration.exchanger import exchanger_panel
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.calibration.initial_wear import entry_posterior, first_levels, fleet_levels
 from hdt_core.calibration.inlet_law import learn_inlet
 from hdt_core.calibration.missing_physics import coefficients
 from hdt_core.calibration.pooling import PooledLevel, levels_of
-from hdt_core.calibration.sensor_priors import sensor_prior
+from hdt_core.calibration.sensor_biases import probe_corrections, sensor_prior
 from hdt_core.estimation.panel import PanelLeastSquares
 from hdt_core.flight.legs import baseline_flights
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S

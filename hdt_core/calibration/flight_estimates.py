@@ -8,7 +8,7 @@ from hdt_core.calibration.arrays import complete_air_data, correct_inputs, cruis
 from hdt_core.calibration.compressor import compressor_flights, compressor_samples
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.inlet_law import inlet_above_law
-from hdt_core.calibration.sensor_priors import exit_differences
+from hdt_core.calibration.sensor_biases import exit_differences
 from hdt_core.estimation.descent import gauss_newton
 from hdt_core.estimation.problem import Problem, unknown
 from hdt_core.flight.legs import RUNNING_KG_S

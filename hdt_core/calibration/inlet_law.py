@@ -11,7 +11,7 @@ import polars as pl
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import Array
-from hdt_core.calibration.sensor_priors import DOOR_FREE
+from hdt_core.calibration.sensor_biases import DOOR_FREE
 from hdt_core.physics.compressor import exit_temperature_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.records.keys import FLIGHT_PACK, PACK

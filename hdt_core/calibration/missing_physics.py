@@ -15,7 +15,7 @@ import polars as pl
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.calibration.exchanger_fit import DESIGN_EFFECT, instruments_of
+from hdt_core.calibration.exchanger import DESIGN_EFFECT, instruments_of
 from hdt_core.calibration.flight_estimates import MEDIANS
 from hdt_core.estimation.panel import MAX_STEP
 from hdt_core.physics.installed_exchanger import with_static_pressure

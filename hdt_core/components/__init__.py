@@ -6,9 +6,8 @@ A package declares one by an entry point of the group `hdt.components` that name
 from functools import cache
 
 from hdt_core.components.cabin_air_compressor import CAC
-from hdt_core.components.compressor import CC
 from hdt_core.components.declaration import ACTIONS, Channel, Component, Limit, Reading, Record
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import CC, HX
 from hdt_core.components.unmetered_exchanger import HXT
 from hdt_core.loading import UserError, load_entry_points
 

@@ -5,15 +5,12 @@
 
 from functools import cache
 
-from hdt_core.estimation.ekf import ExtendedKalman
 from hdt_core.estimation.estimate import Estimate, Estimator, Status
-from hdt_core.estimation.fit import Fit
-from hdt_core.estimation.identifiability import Identifiability
-from hdt_core.estimation.nls import NonlinearLeastSquares
+from hdt_core.estimation.fit import Fit, Identifiability
+from hdt_core.estimation.kalman import ExtendedKalman, UnscentedKalman
+from hdt_core.estimation.optimisers import NonlinearLeastSquares, ParticleSwarm
 from hdt_core.estimation.pinn import PhysicsInformedNet
 from hdt_core.estimation.problem import Belief, Problem, unknown
-from hdt_core.estimation.pso import ParticleSwarm
-from hdt_core.estimation.ukf import UnscentedKalman
 from hdt_core.loading import load_entry_points
 
 METHODS: tuple[Estimator, ...] = (

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from hdt_core.estimation.damped import AT_BOUND_SD, assess_optimum
+from hdt_core.estimation.compiled import AT_BOUND_SD, assess_optimum
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum, quadratic_model
 from hdt_core.estimation.estimate import Estimate, Status
-from hdt_core.estimation.fit import noise_variance
-from hdt_core.estimation.identifiability import Identifiability, covariance_of_free
+from hdt_core.estimation.fit import Identifiability, covariance_of_free, noise_variance
 from hdt_core.estimation.optimum_checks import OptimumTest, Profile, check_optima, profile_intervals
 from hdt_core.estimation.problem import Array, Belief, Problem
 

@@ -8,8 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from hdt_core.estimation.damped import FIRST_DAMPING, MOST_DAMPING, damped_step, is_exhausted, is_settled, next_damping
-from hdt_core.estimation.identifiability import SINGULAR
+from hdt_core.estimation.compiled import (
+    FIRST_DAMPING,
+    MOST_DAMPING,
+    damped_step,
+    is_exhausted,
+    is_settled,
+    next_damping,
+)
+from hdt_core.estimation.fit import SINGULAR
 from hdt_core.estimation.problem import Array, Problem
 
 TINY = float(np.finfo(float).tiny)

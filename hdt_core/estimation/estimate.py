@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from hdt_core.estimation.fit import Fit
-from hdt_core.estimation.identifiability import Identifiability, covariance_of_free
+from hdt_core.estimation.fit import Fit, Identifiability, covariance_of_free
 from hdt_core.estimation.optimum_checks import Profile
 from hdt_core.estimation.problem import Array, Belief, Problem
 

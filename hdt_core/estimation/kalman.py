@@ -1,4 +1,4 @@
-"""Recursion of every Kalman filter here: over a record, forward and smoothed.
+"""Extended and unscented Kalman filter of states and parameters: over a record, forward and smoothed.
 
 References
 ----------
@@ -29,8 +29,10 @@ from hdt_core.estimation.kalman_step import (
     outputs,
     predict_belief,
     project_on_bounds,
+    regression,
     tangent,
     update_belief,
+    upper_root,
 )
 from hdt_core.estimation.problem import Array, Belief, Problem
 
@@ -251,3 +253,68 @@ def trajectory(problem: Problem, theta: Array) -> list[Belief]:
         if problem.transition is not None:
             x = np.asarray(problem.transition(x, theta, i))
     return beliefs
+
+
+@dataclass(frozen=True, slots=True)
+class ExtendedKalman:
+    """Filter, then filter again about the smoothed trajectory: the iterated extended Kalman smoother.
+
+    Without a smoother pass the result keeps the errors of early tangents, taken where the guess was wrong.
+    Where nothing drifts, one pass is one step of Gauss and Newton, shortened where it would raise the objective.
+
+    Parameters
+    ----------
+    smoother_passes : int
+        At most: they end when the estimate settles. With none the causal filter's own answer is reported.
+
+    References
+    ----------
+    .. [1] S. Särkkä and L. Svensson, Levenberg-Marquardt and line-search extended Kalman smoothers, ICASSP 2020.
+    """
+
+    name: str = "ekf"
+    smoother_passes: int = 20
+
+    def estimate(self, problem: Problem) -> Estimate:
+        """Estimate the parameters after the last sample; path of the first, causal pass."""
+        quick = kernel_estimate(problem, False, self.smoother_passes, method=self.name)
+        if quick is not None:
+            return quick
+        return recursive_estimate(problem, tangent, self.smoother_passes, method=self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class UnscentedKalman:
+    """Filter, then filter again with regressions over the smoothed beliefs: iterated posterior linearisation.
+
+    Parameters
+    ----------
+    alpha, beta, kappa : float
+        Spread of Merwe's scaled points. The defaults give equal weights, none negative, so that the residual
+        covariance stays positive.
+    smoother_passes : int
+        At most: they end when the estimate settles.
+    polish : bool
+        Where nothing moves, finish with least squares: the fixed point of a regression is near the optimum, not on it.
+    """
+
+    name: str = "ukf"
+    alpha: float = 1.0
+    beta: float = 0.0
+    kappa: float = 0.0
+    smoother_passes: int = 5
+    polish: bool = True
+
+    def estimate(self, problem: Problem) -> Estimate:
+        """Estimate the parameters after the last sample; path of the first, causal pass."""
+        if (self.alpha, self.beta, self.kappa) == (1.0, 0.0, 0.0):
+            quick = kernel_estimate(problem, True, self.smoother_passes, method=self.name, polish=self.polish)
+            if quick is not None:
+                return quick
+        from filterpy.kalman import MerweScaledSigmaPoints  # noqa: PLC0415 (a second of imports that only this needs)
+
+        j = problem.start.mean.size + problem.prior.mean.size
+        points = MerweScaledSigmaPoints(j, self.alpha, self.beta, self.kappa, sqrt_method=upper_root)
+        return recursive_estimate(
+            problem, partial(regression, points), self.smoother_passes, method=self.name, polish=self.polish
+        )

@@ -22,7 +22,7 @@ from scipy.linalg import solveh_banded
 
 from hdt_core.estimation.conclude import rests_on_bound
 from hdt_core.estimation.estimate import Estimate, Status
-from hdt_core.estimation.identifiability import Identifiability, covariance_of_free
+from hdt_core.estimation.fit import Identifiability, covariance_of_free
 from hdt_core.estimation.problem import Array, Belief, Integers
 from hdt_core.robust import group_means
 

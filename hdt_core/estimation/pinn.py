@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdt_core.estimation.compiled import FIRST_DAMPING
 from hdt_core.estimation.conclude import conclude, settle
-from hdt_core.estimation.damped import FIRST_DAMPING
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.problem import Array, Observe, Problem, Sample
 

@@ -2,8 +2,7 @@
 
 import polars as pl
 
-from hdt_core.components.compressor import CC
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import CC, HX
 from hdt_core.flight.samples import (
     CRUISE_FLOOR_M,
     SIGNALS,

@@ -20,7 +20,7 @@ from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_c
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.records.keys import LEG, PACK
 from hdt_core.tables.base import finite
-from hdt_core.tables.residuals import Residuals
+from hdt_core.tables.twin import Residuals
 
 KINDS = ("sensor_minus_dsm", "dsm_minus_twin", "sensor_minus_twin")
 SIGNALS = {

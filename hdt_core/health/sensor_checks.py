@@ -14,7 +14,7 @@ from hdt_core.flight.legs import RUNNING_KG_S
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import LEG, join_other_pack
 from hdt_core.tables.base import finite
-from hdt_core.tables.signals import SIGNALS
+from hdt_core.tables.raw import SIGNALS
 
 PEG_BAND = 0.015
 """Samples within this of a flight's widest opening may rest on a stop: three sigma of the position sensor. [-]"""

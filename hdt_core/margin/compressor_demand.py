@@ -9,8 +9,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import cruise_samples
-from hdt_core.calibration.compressor import compressor_samples
-from hdt_core.calibration.compressor_fit import CompressorFit
+from hdt_core.calibration.compressor import CompressorFit, compressor_samples
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.flight.control_schedules import ControlSchedules
 from hdt_core.physics.air import HIGH_CRUISE_M, hot_day_tat_k, reference_air

@@ -10,7 +10,7 @@ from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS,
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.tables.features import COMPRESSOR_MARGIN, EXCHANGER_MARGIN
-from hdt_core.tracking.compressor_tracking import PROBE_SD
+from hdt_core.tracking.track import PROBE_SD
 
 LEVEL_SD_K = {"flight": 0.5, "pack": 2.0}
 """Standard deviation of the target from the flight itself, or from the pack's others (trims differ by 2 K). [K]"""

@@ -7,12 +7,12 @@ import numpy as np
 import polars as pl
 
 from hdt_core.components import Limit
-from hdt_core.components.compressor import CC
+from hdt_core.components.pack import CC
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
 from hdt_core.margin.first_passage import WINDOW_FLIGHTS, repeated_demand
 from hdt_core.margin.margin import LN_RATIO_PER_K, PRIOR_RULE, MessageRule, at_excess
 from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
-from hdt_core.prognosis.message_rule import learn_rules, rule_onsets
+from hdt_core.prognosis.recalibrate import learn_rules, rule_onsets
 from hdt_core.prognosis.unit_lives import flight_rows, with_lives
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Array

@@ -3,8 +3,7 @@
 import polars as pl
 
 from hdt_core.components import Component
-from hdt_core.components.compressor import CC
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import CC, HX
 from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import first_flights
 

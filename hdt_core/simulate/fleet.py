@@ -5,23 +5,37 @@ Any size, seeded: aircraft k of a fleet is the same whatever the others are, so 
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import polars as pl
 
 from hdt_core.physics.terms import TERMS, record_signals
 from hdt_core.robust import Array
-from hdt_core.simulate import flight_conditions, log_writer, unit_histories
-from hdt_core.simulate.design import FleetSettings, Operator, PackDesign, draw_design, draw_operators
+from hdt_core.simulate import log_writer, unit_histories
+from hdt_core.simulate.design import (
+    CLIMB_S,
+    DESCENT_S,
+    Conditions,
+    FleetSettings,
+    Operator,
+    PackDesign,
+    conditions,
+    draw_design,
+    draw_operators,
+    draw_schedule,
+    snapshot_times,
+)
+from hdt_core.simulate.packs import loss_ratios
 from hdt_core.simulate.recorder import SUITES, draw_biases, record
 from hdt_core.simulate.signals import Plan, air_data, demand, pack_rows, pick, true_signals
-from hdt_core.simulate.truth import health_truth
+from hdt_core.simulate.unit_histories import PackHistory
 
 PACKS = (1, 2)
 PACK_SIGNALS = {"hx_in_k": "hot_in_k", "hx_out_k": "hot_out_k", "pack_flow_kg_s": "pack_flow_kg_s"}
-_Weather = tuple[flight_conditions.Conditions, dict[str, Array] | None]
+_Weather = tuple[Conditions, dict[str, Array] | None]
 """Conditions of a flight and air data as recorded."""
+UTC_US = pl.Datetime("us", "UTC")
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +120,7 @@ def _aircraft(
     rng: np.random.Generator, design: PackDesign, operator: Operator, tail: str, size: FleetSettings
 ) -> Aircraft:
     plan = _plan(rng, design, operator, tail, size)
-    now = flight_conditions.conditions(rng, plan.schedule, *flight_conditions.snapshot_times(rng, plan.schedule))
+    now = conditions(rng, plan.schedule, *snapshot_times(rng, plan.schedule))
     probe = _air_as_recorded(now, size.missing)
     air = record(rng, air_data(probe), plan.biases[0], operator.temperature_step_k, plan.suite)
     has_arrived = rng.random(size.flights) > 0.01
@@ -141,7 +155,7 @@ def _aircraft(
 
 
 def _plan(rng: np.random.Generator, design: PackDesign, operator: Operator, tail: str, size: FleetSettings) -> Plan:
-    schedule = flight_conditions.draw_schedule(rng, operator, size.flights)
+    schedule = draw_schedule(rng, operator, size.flights)
     start = datetime.fromisoformat(size.first_day).replace(tzinfo=UTC)
     ids = log_writer.flight_ids(tail, start, schedule.departed_s)
     biases, has_ram_out = draw_biases(rng), rng.random() < operator.ram_out_share
@@ -161,10 +175,10 @@ def _log_1hz(
 
     Both packs fly in the same air: the first pack's draw is kept in `weather`.
     """
-    end_s = flight_conditions.CLIMB_S + plan.schedule.cruise_s[index] + flight_conditions.DESCENT_S
+    end_s = CLIMB_S + plan.schedule.cruise_s[index] + DESCENT_S
     after_s = np.arange(-plan.suite.taxi_s, end_s)
     # the log's weather is drawn again, as two recorders never agree exactly
-    new_weather = flight_conditions.conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
+    new_weather = conditions(rng, plan.schedule, np.full(after_s.size, index), after_s)
     now, first_air = weather.get(index, (new_weather, None))
     true = true_signals(rng, plan.design, now, load=demand(rng, plan.design, now), history=history, dt_s=1.0)
     probe = _air_as_recorded(now, missing)
@@ -176,20 +190,75 @@ def _log_1hz(
     ).drop("phase_code")
 
 
-def _air_as_recorded(now: flight_conditions.Conditions, missing: Mapping[str, float]) -> flight_conditions.Conditions:
+def _air_as_recorded(now: Conditions, missing: Mapping[str, float]) -> Conditions:
     """Return outside conditions as the air data probes record them, without terms of the packs."""
     terms = {name: value for name, value in missing.items() if TERMS[name].signal == "tat_k"}
     return replace(now, tat_k=record_signals(_air(now), terms)["tat_k"])
 
 
-def _pack_as_recorded(
-    true: dict[str, Array], now: flight_conditions.Conditions, missing: Mapping[str, float]
-) -> dict[str, Array]:
+def _pack_as_recorded(true: dict[str, Array], now: Conditions, missing: Mapping[str, float]) -> dict[str, Array]:
     """Return a pack's signals as recorded before the sensors' own errors; `now` as the probes record it."""
     terms = {name: value for name, value in missing.items() if TERMS[name].signal != "tat_k"}
     values = record_signals(_air(now) | {name: true[of] for name, of in PACK_SIGNALS.items()}, terms)
     return true | {of: values[name] for name, of in PACK_SIGNALS.items()}
 
 
-def _air(now: flight_conditions.Conditions) -> dict[str, Array]:
+def _air(now: Conditions) -> dict[str, Array]:
     return {n: getattr(now, n) for n in ("altitude_m", "mach", "tat_k", "total_pressure_pa")}
+
+
+def health_truth(
+    plan: Plan, now: Conditions, true: dict[str, Array], *, history: PackHistory, pack: int, has_arrived: Array
+) -> pl.DataFrame:
+    """Return the truth of one pack, one row a flight.
+
+    `ua_ratio`, `apparent_ua_ratio`, `ram_flow_ratio` at the reference cruise; the rest are medians of the cruise.
+    `nominal`: level cruise, loss below 8 %, nothing wrong. `contaminant`: loss above 15 % or something wrong.
+    """
+    flights = has_arrived.size
+    ratio, apparent, ram = loss_ratios(plan.design, history.wear)
+    loss = 1.0 - np.minimum(ratio, apparent)
+    door_fault = ~np.isnan(history.door_stuck) | (history.door_reach < 1.0)
+    wrong = history.icing | history.pack_off | door_fault | (history.sensor != "")
+    departed_at = [plan.start + timedelta(seconds=float(s)) for s in plan.schedule.departed_s]
+    return pl.DataFrame(
+        {
+            "operator": plan.operator.name,
+            "tail": plan.tail,
+            "flight_id": plan.ids,
+            "pack": pack,
+            "index": np.arange(flights),
+            "departed_at": departed_at,
+            "arrived": has_arrived,
+            "arrives_on": [d.date() for d in departed_at],
+            "ua_ratio": ratio,
+            "apparent_ua_ratio": apparent,
+            "ram_flow_ratio": ram,
+            "blockage": history.blockage,
+            "area_loss": history.area_loss,
+            "film_k_w": history.film_k_w,
+            "true_ua_w_k": _cruise_median(now, true["ua_w_k"], flights),
+            "ram_flow_kg_s": _cruise_median(now, true["ram_flow_kg_s"], flights),
+            "door_true_pct": 100.0 * _cruise_median(now, true["door"], flights),
+            "unmet_k": _cruise_median(now, true["unmet_k"], flights),
+            "cc_eff_diameter_m": _cruise_median(now, true["diameter_m"], flights),
+            "cc_eff_loss": history.cc_loss,
+            "icing": history.icing,
+            "pack_off": history.pack_off,
+            "door_fault": door_fault,
+            "sensor_fault": history.sensor,
+            "nominal": ~wrong & (loss < 0.08),
+            "contaminant": wrong | (loss > 0.15),
+            "hx_unit": history.hx_unit,
+            "cc_unit": history.cc_unit,
+        },
+        schema_overrides={"departed_at": UTC_US, "pack": pl.Int64, "index": pl.Int64},
+    )
+
+
+def _cruise_median(now: Conditions, values: Array, flights: int) -> Array:
+    rows = pl.DataFrame({"flight": now.flight[now.cruise], "v": values[now.cruise]})
+    medians = rows.group_by("flight").agg(pl.col("v").median()).sort("flight")
+    out = np.full(flights, np.nan)
+    out[medians["flight"].to_numpy()] = medians["v"].to_numpy()
+    return out

@@ -10,8 +10,18 @@ import numpy as np
 
 from hdt_core.physics.heat_exchanger import clean_conductance_w_k, outlets_k
 from hdt_core.robust import Array
-from hdt_core.simulate.design import FleetSettings, Operator, PackDesign, draw_design, draw_operators
-from hdt_core.simulate.flight_conditions import CLIMB_S, Conditions, Schedule, conditions, draw_schedule
+from hdt_core.simulate.design import (
+    CLIMB_S,
+    Conditions,
+    FleetSettings,
+    Operator,
+    PackDesign,
+    Schedule,
+    conditions,
+    draw_design,
+    draw_operators,
+    draw_schedule,
+)
 from hdt_core.simulate.packs import FULL_OPEN, ram_flow_kg_s, sized_target_k
 from hdt_core.simulate.signals import hot_inlet_k
 

@@ -15,8 +15,7 @@ from hdt_core.physics.compressor import HEAD, exit_temperature_k
 from hdt_core.physics.heat_exchanger import clean_conductance_w_k, measured_conductance_w_k, outlets_k
 from hdt_core.physics.installed_exchanger import ram_flow
 from hdt_core.robust import Array
-from hdt_core.simulate.design import PackDesign
-from hdt_core.simulate.flight_conditions import Conditions
+from hdt_core.simulate.design import Conditions, PackDesign
 
 FULL_OPEN = 1.0
 _FILM_K = 330.0

@@ -9,8 +9,7 @@ from scipy.signal import lfilter
 
 from hdt_core.physics.heat_exchanger import specific_heat_j_kg_k
 from hdt_core.robust import Array
-from hdt_core.simulate.design import Operator, PackDesign
-from hdt_core.simulate.flight_conditions import Conditions, Schedule
+from hdt_core.simulate.design import Conditions, Operator, PackDesign, Schedule
 from hdt_core.simulate.packs import (
     Demand,
     behind_worn_compressor,

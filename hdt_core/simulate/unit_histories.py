@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from hdt_core.robust import Array
-from hdt_core.simulate.design import Operator, PackDesign
-from hdt_core.simulate.flight_conditions import Conditions
+from hdt_core.simulate.design import Conditions, Operator, PackDesign
 from hdt_core.simulate.packs import FULL_OPEN, Demand, ExchangerWear, behind_worn_compressor, outlets
 from hdt_core.simulate.wear import draw_wear
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import polars as pl
 
-from hdt_core.tables import calibration, components, features, legs, prognosis, raw, residuals, twin
+from hdt_core.tables import features, prognosis, raw, twin
 from hdt_core.tables.base import Table
 
 _MONTH = pl.concat_str(pl.col("flight_id").str.slice(-11, 4), pl.lit("-"), pl.col("flight_id").str.slice(-7, 2))
@@ -81,25 +81,25 @@ TABLES: dict[str, StoredTable] = {
     "raw_coverage": StoredTable(raw.RawCoverage, "fleet", ("operator", "tail", "component", "parameter")),
     "raw_files_deliveries": StoredTable(raw.RawDeliveries, "fleet", ("file",), whole=True),
     "raw_files_quarantine": StoredTable(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),
-    "legs_samples": StoredTable(legs.LegsSamples, "flight", _SAMPLE, "month"),
-    "legs_verdicts": StoredTable(legs.LegsVerdicts, "flight", _FLIGHT_PACK, "month"),
-    "legs_indicators": StoredTable(legs.LegsIndicators, "flight", _FLIGHT_PACK, "month"),
-    "legs_admitted": StoredTable(legs.LegsAdmitted, "aircraft", _FLIGHT_PACK),
-    "calibration_dsm": StoredTable(calibration.CalibrationDsm, "fleet", ("dsm_version",), whole=True),
+    "legs_samples": StoredTable(raw.LegsSamples, "flight", _SAMPLE, "month"),
+    "legs_verdicts": StoredTable(raw.LegsVerdicts, "flight", _FLIGHT_PACK, "month"),
+    "legs_indicators": StoredTable(raw.LegsIndicators, "flight", _FLIGHT_PACK, "month"),
+    "legs_admitted": StoredTable(raw.LegsAdmitted, "aircraft", _FLIGHT_PACK),
+    "calibration_dsm": StoredTable(twin.CalibrationDsm, "fleet", ("dsm_version",), whole=True),
     "calibration_design": StoredTable(
-        calibration.CalibrationDesign,
+        twin.CalibrationDesign,
         "fleet",
         ("scope", "operator", "tail", "pack", "component", "parameter"),
         whole=True,
     ),
-    "calibration_schedules": StoredTable(calibration.CalibrationSchedules, "fleet", ("name",), whole=True),
-    "calibration_window": StoredTable(calibration.CalibrationWindow, "fleet", ("operator", "tail")),
+    "calibration_schedules": StoredTable(twin.CalibrationSchedules, "fleet", ("name",), whole=True),
+    "calibration_window": StoredTable(twin.CalibrationWindow, "fleet", ("operator", "tail")),
     "twin_flights": StoredTable(twin.TwinFlights, "flight", _FLIGHT_PACK, "month"),
     "twin_health": StoredTable(twin.TwinHealth, "aircraft", ("departed_at", "flight_id", "pack", "parameter")),
     "twin_checkpoints": StoredTable(
         twin.TwinCheckpoints, "aircraft", ("pack", "component", "parameter", "chapter", "history"), whole=True
     ),
-    "residuals": StoredTable(residuals.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
+    "residuals": StoredTable(twin.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
     "features_cross_checks": StoredTable(features.FeaturesCrossChecks, "flight", _FLIGHT_PACK, "month"),
     "features_margin": StoredTable(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
     "features": StoredTable(features.Features, "aircraft", ("departed_at", "flight_id", "pack")),
@@ -110,16 +110,16 @@ TABLES: dict[str, StoredTable] = {
     "prognosis_lives": StoredTable(
         prognosis.PrognosisLives, "fleet", ("operator", "tail", "pack", "component", "life")
     ),
-    "components": StoredTable(components.ComponentList, "fleet", ("component",)),
-    "raw_components": StoredTable(components.RawComponents, "aircraft", ("component", *_SAMPLE, "signal")),
+    "components": StoredTable(twin.ComponentList, "fleet", ("component",)),
+    "raw_components": StoredTable(twin.RawComponents, "aircraft", ("component", *_SAMPLE, "signal")),
     "raw_components_deliveries": StoredTable(raw.RawDeliveries, "aircraft", ("file",), whole=True),
     "raw_components_quarantine": StoredTable(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
-    "legs_components": StoredTable(components.LegsComponents, "aircraft", _COMPONENT),
+    "legs_components": StoredTable(twin.LegsComponents, "aircraft", _COMPONENT),
     "calibration_components": StoredTable(
-        components.CalibrationComponents, "aircraft", ("tail", "pack", "component", "parameter")
+        twin.CalibrationComponents, "aircraft", ("tail", "pack", "component", "parameter")
     ),
-    "residuals_components": StoredTable(components.ResidualsComponents, "aircraft", (*_COMPONENT, "signal", "kind")),
-    "features_components": StoredTable(components.FeaturesComponents, "aircraft", _COMPONENT),
+    "residuals_components": StoredTable(twin.ResidualsComponents, "aircraft", (*_COMPONENT, "signal", "kind")),
+    "features_components": StoredTable(twin.FeaturesComponents, "aircraft", _COMPONENT),
 }
 
 # views of the catalog's schema `tables` for queries written before these tables had their names

@@ -6,7 +6,7 @@ from typing import Any, cast
 import dataframely as dy
 
 from hdt_core.tables.base import DatedLegTable, Table, column, count, flag, moment, number, operator_key, pack_key, text
-from hdt_core.tables.signals import Signals
+from hdt_core.tables.raw import Signals
 
 HEALTH = {
     "hx_fouling": ("-", "conductance lost by the heat exchanger"),

@@ -1,4 +1,4 @@
-"""Stage raw: what was recorded, typed, in SI, and where every delivered row went."""
+"""Stages raw and legs: what was recorded, typed, in SI; where every delivered row went; which flights are nominal."""
 
 import dataframely as dy
 import polars as pl
@@ -6,18 +6,54 @@ import polars as pl
 from hdt_core.tables.base import (
     AircraftRows,
     AircraftTable,
+    DatedLegTable,
     FlightTable,
+    LegTable,
     Table,
     column,
     count,
     flag,
+    flight_key,
     moment,
     number,
     operator_key,
+    pack_key,
     tail_key,
     text,
 )
-from hdt_core.tables.signals import SampleTable
+
+
+class Signals(Table):
+    """The recorder's signals in SI, without spans: a spike is a recorded value."""
+
+    altitude_m = number("pressure altitude", "m")
+    mach = number("Mach number", "-")
+    tat_k = number("total air temperature (paper Table 3, no. 1)", "K")
+    total_pressure_pa = number("total air pressure (no. 2)", "Pa")
+    hx_in_k = number("heat exchanger hot-side inlet (no. 3)", "K")
+    hx_out_k = number("heat exchanger hot-side exit (no. 4)", "K")
+    ram_door_open = number("ram air inlet door, share open (no. 7)", "-")
+    pack_flow_kg_s = number("pack mass flow (no. 8)", "kg/s")
+    ram_out_k = number("ram air leaving the heat exchanger, where the sensor is fitted", "K")
+    cc_speed_rad_s = number("centrifugal compressor shaft speed", "rad/s")
+    cc_in_k = number("compressor inlet temperature", "K")
+    cc_in_pa = number("compressor inlet pressure", "Pa")
+    cc_out_k = number("compressor exit temperature", "K")
+    cc_out_pa = number("compressor exit pressure", "Pa")
+    cc_flow_kg_s = number("compressor inlet mass flow", "kg/s")
+    vda_counts = number("variable diffuser actuator position", "counts")
+
+
+SIGNALS = list(Signals.columns())
+
+
+class SampleTable(Signals):
+    """A table of samples: a leg begins the key."""
+
+    operator = operator_key()
+    tail = tail_key()
+    flight_id = flight_key()
+    pack = pack_key()
 
 
 class RawSnapshots(SampleTable):
@@ -192,3 +228,61 @@ class RawFleet(AircraftTable):
     delivered_on = column(dy.Date, "day of delivery", "UTC", nullable=True)
     packs = column(dy.Int32, "air-conditioning packs", "-", nullable=True)
     type = text("type whose description its recordings follow; null where its files are the default record")
+
+
+class LegsSamples(SampleTable):
+    """One usable sample, without values outside a sensor's range: flight, pack, time."""
+
+    time_utc = moment("time of the sample, the middle of an averaged window", primary_key=True)
+    source = text("acms or cpl", nullable=False, primary_key=True)
+    departed_at = moment("first recorded time of the flight")
+    phase = text("ground, climb, cruise or descent, from altitude, Mach and time")
+    nominal = flag("steady cruise, fit to calibrate from")
+    monitored = flag("steady enough to judge health from, sick or not")
+    n_averaged = count("seconds averaged, 1 for a snapshot")
+    steady = flag("no driving signal on the move", nullable=True)
+    level = flag("level flight", nullable=True)
+    icing = flag("icing conditions", nullable=True)
+    climb_rate_m_s = number("rate of climb", "m/s")
+    n_out_of_range = count("values taken out because no sensor can show them", nullable=True)
+    n_spikes = count("values taken out because the neighbours contradict them", nullable=True)
+    n_frozen = count("values taken out because the sensor repeats itself", nullable=True)
+
+
+class LegsVerdicts(DatedLegTable):
+    """One leg as its own record shows it: flight, pack."""
+
+    landed_at = moment("last recorded time")
+    source = text("acms, cpl or both", nullable=False)
+    n_snapshots = count("snapshots of the pack")
+    cruise_minutes = number("time in cruise", "min", 0)
+    admitted = flag("fit to calibrate from")
+    reason = text("reason code, empty when admitted", nullable=False)
+    n_samples = count("samples left after the sample filter")
+    n_nominal = count("of these, nominal")
+    n_monitored = count("of these, fit to judge health from")
+    n_frozen = count("values taken out because the sensor repeats itself")
+
+
+class LegsIndicators(LegTable):
+    """Indicators of a leg by its own samples, against the fleet's laws: flight, pack."""
+
+    index_level = number("conductance index, median of the leg: 0.1 less is a loss of about 10 %")
+    index_n = count("samples behind it", nullable=True)
+    index_unrest = number("how far a few samples in a row leave the leg's median, in standard errors", low=0)
+    outlet_between_packs_k = number("exchanger outlet above the other pack's, while both doors can move", "K")
+    outlet_above_law_k = number("exchanger outlet above the law the controllers hold", "K")
+    inlet_minus_tat_k = number("compressor inlet above TAT", "K")
+    inlet_over_total_pressure_ln = number("ln of compressor inlet over total pressure")
+    pack_over_compressor_flow_ln = number("ln of pack flow over compressor flow")
+    pack_flow_between_packs_ln = number("ln of pack flow over the other pack's")
+    pack_flow_ln = number("ln of pack flow in kg/s")
+
+
+class LegsAdmitted(DatedLegTable):
+    """The final verdict on a leg, with the twin and the maintenance log at hand: flight, pack."""
+
+    admitted = flag("fit to calibrate from")
+    reason = text("reason code, empty when admitted", nullable=False)
+    n_samples = count("samples left after the sample filter")
+    n_nominal = count("of these, nominal")

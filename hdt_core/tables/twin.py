@@ -1,4 +1,7 @@
-"""Tables of stage twin: each pack's health, flight by flight."""
+"""Tables of calibration, twin and residuals: design, each pack's health flight by flight, sensor against model against
+twin; and those that only declared components have, with the component as part of the key."""
+
+from typing import Any
 
 import dataframely as dy
 
@@ -6,13 +9,58 @@ from hdt_core.tables.base import (
     AircraftTable,
     ComponentLegTable,
     DatedLegTable,
+    Table,
     column,
+    count,
     flag,
     moment,
     number,
     pack_key,
     text,
-)  # fmt: skip
+)  # fmt: skip  # fmt: skip
+
+
+class CalibrationDsm(Table):
+    """The Digital System Model in service."""
+
+    dsm_version = text("hash of what it was calibrated from", nullable=False, primary_key=True)
+    model = text("the model as JSON", nullable=False)
+    n_flights = count("flights it was calibrated from")
+    status = text(
+        "how the estimate of the exchanger's design ended: converged, at_bound, max_steps or not_identifiable"
+    )
+
+
+class CalibrationSchedules(Table):
+    """One set of the fleet's laws, learned from the commissioning window."""
+
+    name = text("legs: of the leg filter; controllers: of the cross checks", nullable=False, primary_key=True)
+    laws = text("the laws as JSON", nullable=False)
+
+
+class CalibrationWindow(AircraftTable):
+    """The commissioning window of an aircraft: the flights that calibrate its models."""
+
+    n_flights = count("flights in it", "flights")
+    from_at = moment("departure of its first flight")
+    until_at = moment("departure of its last flight")
+
+
+class CalibrationDesign(Table):
+    """One design parameter: scope, component, parameter."""
+
+    scope = text("fleet, operator or tail", nullable=False)
+    operator = text("operator, null above one")
+    tail = text("aircraft, null above tail")
+    pack = column(dy.Int32, "pack, null above a pack", nullable=True)
+    component = text("HX or CC", nullable=False)
+    parameter = text("name", nullable=False)
+    value = number("estimate, in `unit`")
+    sd = number("standard deviation, in `unit`", low=0)
+    unit = text("unit, with the reference condition where it has one", nullable=False)
+    n_flights = count("flights it rests on")
+    identifiable = flag("the data, not the prior, decide it")
+    dsm_version = text("model it belongs to", nullable=False)
 
 
 def _samples(meaning: str) -> dy.Column:
@@ -105,3 +153,83 @@ class TwinCheckpoints(AircraftTable):
     since = column(dy.Int64, "flights since the core was renewed or washed", "-")
     unlogged = flag("no entry of the log has named that renewal yet")
     faulty = flag("a fault that is not the core's")
+
+
+class Residuals(ComponentLegTable):
+    """One signal's residual over a flight: flight, pack, signal, kind."""
+
+    component = text("code of the component", nullable=False)
+    signal = text("signal compared", nullable=False, primary_key=True)
+    kind = text("sensor_minus_dsm, dsm_minus_twin or sensor_minus_twin", nullable=False, primary_key=True)
+    mean = number("mean over the flight's samples, in `unit`")
+    sd = number("standard deviation over the samples, in `unit`", low=0)
+    rms = number("root mean square, in `unit`", low=0)
+    unit = text("unit of the signal", nullable=False)
+    n = count("samples")
+
+
+def _component(**kw: Any) -> dy.String:
+    return text("code of the component", nullable=False, primary_key=kw.pop("primary_key", True), **kw)
+
+
+class _Leg(ComponentLegTable):
+    """A flight and pack of a component."""
+
+    component = _component()
+
+
+class ComponentList(Table):
+    """One component of the chain."""
+
+    component = _component()
+    name = text("name in reports and alerts", nullable=False)
+    loss = text("health parameter whose growth ends its life", nullable=False)
+    lost = text("what it loses", nullable=False)
+    message_code = text("the aircraft's own message when it fails")
+    diagnosis = text("alert that calls it worn", nullable=False)
+    limit_loss = number("loss at which it fails, before any failure was seen")
+    recorded = flag("it has files of its own; else it is part of the pack")
+    version = text("digest of its declaration", nullable=False)
+
+
+class RawComponents(_Leg):
+    """One recorded value of a component: flight, pack, time, signal."""
+
+    time_utc = moment("time of the sample", primary_key=True)
+    signal = text("signal, its unit at the end of the name", nullable=False, primary_key=True)
+    value = number("value in SI")
+    file = text("file that delivered it, below the landing zone", nullable=False)
+
+
+class LegsComponents(_Leg):
+    """One leg of a component: flight, pack."""
+
+    departed_at = moment("first recorded time")
+    admitted = flag("fit to calibrate from")
+    reason = text("reason code, empty when admitted", nullable=False)
+    n_samples = count("samples on record")
+    n_nominal = count("of these, samples to which the model applies")
+
+
+class CalibrationComponents(CalibrationDesign):
+    """One design parameter of a declared component, by pack."""
+
+
+class ResidualsComponents(Residuals):
+    """One signal's residual of a declared component over a flight: flight, pack, signal, kind."""
+
+
+class FeaturesComponents(_Leg):
+    """Loss of a declared component after a flight, with its trends: flight, pack, component."""
+
+    departed_at = moment("first recorded time")
+    flight_index = column(dy.Int64, "the tail's flights, from 0")
+    flights_seen_of_unit = column(dy.Int64, "flights of the unit before this", nullable=True)
+    loss = number("loss after this flight, from no later one; 0 as built, larger is worse")
+    loss_sd = number("standard deviation of it", low=0)
+    loss_status = text("how that estimate ended")
+    loss_slope_10_per_flight = number("trend of ten flights", "1/flight")
+    loss_slope_30_per_flight = number("trend of thirty flights", "1/flight")
+    loss_slope_100_per_flight = number("trend of a hundred flights", "1/flight")
+    loss_jump_10 = number("gain over ten flights")
+    loss_step_3 = number("gain of three flights over the twelve before, less the trend")

@@ -1,23 +1,31 @@
-"""Calibrate a declared component on nominal flights and filter its health along the flights' estimates."""
+"""Calibrate a declared component on nominal flights, estimate it flight by flight with any estimator (the paper's
+Figure 10) and filter its health along them.
 
+The pack's own parts use the closed form of `calibration.flight_estimates` and `calibration.compressor`, which gives the
+same estimates.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
-from hdt_core.calibration.arrays import Array
-from hdt_core.calibration.initial_wear import ENTRY, MIN_FLIGHT_SD, EntryWear
+from hdt_core.calibration.arrays import Array, flights_of
+from hdt_core.calibration.baseline_wear import ENTRY, MIN_FLIGHT_SD, EntryWear
 from hdt_core.components import Component
 from hdt_core.components.declaration import CLEANED
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import HX
 from hdt_core.estimation import Estimate, Estimator, NonlinearLeastSquares, estimators
-from hdt_core.estimation.problem import Belief
+from hdt_core.estimation.declared import declared_problem
+from hdt_core.estimation.estimate import estimate_each
+from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.physics.model import Param, PhysicsModel
-from hdt_core.records.keys import IN_ORDER, split_packs
+from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, split_packs
 from hdt_core.robust import MAD_TO_SD
 from hdt_core.tracking.loss_filter import Loss, TrackResult, join_tracks, track_loss
 from hdt_core.tracking.segments import SEGMENT_FLIGHTS
-from hdt_core.tracking.sequential import recorded_outputs, samples_problem
 from hdt_core.tracking.wear_model import PACES, UNIT_SD, WEAR_STEP, Pace, Settings
 
 LEAST_STEPS = 8
@@ -30,6 +38,7 @@ UNKNOWN_SD = 0.3
 """Of a design without a declared prior, about the calibrated one. [ln loss]"""
 WITHOUT_ESTIMATE = ("diverged", "not_identifiable")
 """Statuses of a flight whose values are no estimate."""
+MIN_SAMPLES = 3
 
 
 def declared_estimator(component: Component) -> Estimator:
@@ -202,3 +211,79 @@ def scatter_sd(wear: Array, own_variance: Array, usual_sd: float = MIN_FLIGHT_SD
         return usual_sd
     excess_var = (MAD_TO_SD * np.median(np.abs(steps))) ** 2 / 2.0 - own_variance[has_wear].mean()
     return float(np.sqrt(max(excess_var, MIN_FLIGHT_SD**2)))
+
+
+def flight_by_flight(
+    samples: pl.DataFrame,
+    model: PhysicsModel,
+    free: Sequence[str],
+    *,
+    outputs: Sequence[str] | None = None,
+    estimator: Estimator | None = None,
+) -> pl.DataFrame:
+    """Estimate parameters `free` of `model` from every flight and pack alone, all others at their nominal values.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        `PACK`, `flight_id`, `time_utc` and columns named as the model's inputs and outputs; nominal or steady samples.
+    outputs : sequence of str, optional
+        Outputs to compare; all that have a sensor and a column where not given.
+    estimator : Estimator, optional
+        Nonlinear least squares, the paper's, where not given.
+
+    Returns
+    -------
+    DataFrame
+        One row a flight and pack of three samples or more, in order: `FLIGHT_PACK`, `departed_at`, a column and an
+        `_sd` for each of `free`, `status`, `n_evals` (model evaluations).
+
+    Notes
+    -----
+    Least squares starts every flight in the middle of the declared bounds, so that all are estimated side by side;
+    another method, as the paper, at the last estimate that converged. Both end on the same optimum.
+    """
+    outputs = recorded_outputs(model, samples) if outputs is None else outputs
+    order = flights_of(samples).select(*FLIGHT_PACK, "departed_at")
+    complete = samples.drop_nulls([*(s.name for s in model.inputs), *outputs]).drop("departed_at", strict=False)
+    complete = complete.filter(pl.len().over(FLIGHT_PACK) >= MIN_SAMPLES)
+    complete = complete.join(order, on=FLIGHT_PACK, validate="m:1").sort(*IN_ORDER, "time_utc")
+    start = np.array([model.param(name).bounds for name in free]).mean(axis=1)
+    problem = samples_problem(complete, model, free, outputs, unknown(start))
+    key = pl.struct(FLIGHT_PACK)
+    problem = replace(problem, group=complete.select(key.rle_id().cast(pl.Int64))[:, 0].to_numpy())
+    estimates = estimate_each(estimator or NonlinearLeastSquares(), problem) if complete.height else []
+    posterior = [(*e.belief.mean.tolist(), *e.belief.sd.tolist(), e.status, e.n_evals) for e in estimates]
+    schema = dict.fromkeys((*free, *(f"{name}_sd" for name in free)), pl.Float64())
+    values = pl.DataFrame(posterior, schema=schema | {"status": pl.String(), "n_evals": pl.Int64()}, orient="row")
+    flights = complete.select(*FLIGHT_PACK, "departed_at").unique(maintain_order=True)
+    return pl.concat([flights, values], how="horizontal")
+
+
+def recorded_outputs(model: PhysicsModel, samples: pl.DataFrame) -> list[str]:
+    """List outputs of the model that have a sensor and a column.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+    """
+    sensors = [s.name for s in model.outputs if s.sigma is not None]
+    outputs = [name for name in sensors if name in samples.columns]
+    if not outputs:
+        raise ValueError(
+            f"{model.name}: the samples hold no column of {', '.join(sensors) or 'an output with a sigma'}"
+        )
+    return outputs
+
+
+def samples_problem(
+    samples: pl.DataFrame,
+    model: PhysicsModel,
+    free: Sequence[str],
+    outputs: Sequence[str],
+    prior: Belief | None = None,
+) -> Problem:
+    """Build the estimation problem of `samples`."""
+    inputs = {s.name: samples[s.name].to_numpy() for s in model.inputs}
+    return declared_problem(model, free, inputs, {name: samples[name].to_numpy() for name in outputs}, prior=prior)

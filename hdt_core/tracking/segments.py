@@ -1,19 +1,22 @@
 """Filter and smoother in segments of flights, so that a night goes on from a checkpoint.
 
-A checkpoint holds the hypotheses with which a segment begins. Smoothing reaches to the end of the next segment and no
-further: a smoothed value is final once that has been flown, and a night need not go over all of the past.
+Flights of many packs are a panel: side by side, the k-th of each together. A checkpoint holds the hypotheses with which
+a segment begins. Smoothing reaches to the end of the next segment and no further: a smoothed value is final once that
+has been flown, and a night need not go over all of the past.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
+from scipy.special import erfcx
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.tracking.flight_panel import FlightPanel
-from hdt_core.tracking.hypotheses import Branching, Hypotheses, join, start
-from hdt_core.tracking.multiple_model_filter import step, wear_summary
-from hdt_core.tracking.wear_model import WEAR, Settings
+from hdt_core.records.keys import split_packs
+from hdt_core.records.unit_index import RENEWALS, log_flags, log_kept
+from hdt_core.tracking.multiple_model_filter import Branching, Hypotheses, join, start, step
+from hdt_core.tracking.wear_model import WEAR, Observation, Settings
 
 SEGMENT_FLIGHTS = 50
 """Flights in a segment. Smoothing over the 50 to 100 flights ahead is as good as over all 200 (rms error 0.0322 both,
@@ -24,6 +27,48 @@ SIDE_BY_SIDE = 64
 Checkpoints = Mapping[tuple[int, int], Hypotheses]
 """By pack's number and segment, the hypotheses with which it begins."""
 LEAST_SD, LEAST_WEIGHT = 1e-4, 1e-300
+
+
+class FlightPanel(NamedTuple):
+    """Flights of all packs side by side, (flights, packs); `row` is the row in the frame, -1 where a pack has no
+    more."""
+
+    row: Array
+    observations: Observation
+
+    @property
+    def n_rows(self) -> int:
+        """Rows of the frame."""
+        return int((self.row >= 0).sum())
+
+    @property
+    def flights(self) -> Array:
+        """Number of flights of each pack. (packs,)"""
+        return np.asarray((self.row >= 0).sum(axis=0))
+
+
+def lay_out(
+    flights: pl.DataFrame,
+    observations: tuple[Array, Array, Array],
+    maintenance: pl.DataFrame,
+    component: str,
+    actions: Sequence[str] = RENEWALS,
+    unchecked: Array | None = None,
+) -> FlightPanel:
+    """Lay out ratio, variance and exposure of each row of `flights` (in order), and the log of a component.
+
+    Without `unchecked` no sensor is redundant.
+    """
+    packs = split_packs(flights)
+    index = np.full((max(map(len, packs)), len(packs) if flights.height else 0), -1)
+    for pack, rows in enumerate(packs):
+        index[: len(rows), pack : pack + 1] = rows[:, None]
+    log = (*log_flags(flights, maintenance, component, actions), log_kept(flights, maintenance))
+    share = np.ones(flights.height) if unchecked is None else unchecked
+    columns = zip((*observations, *log, share), (np.nan, 1.0, 1.0, 0, 0, 0, 1.0), strict=True)
+    return FlightPanel(
+        index, Observation(*(np.where(index >= 0, values[np.maximum(index, 0)], empty) for values, empty in columns))
+    )
 
 
 def smooth(
@@ -125,3 +170,21 @@ def _first_hypotheses(packs: Array, begin: Array, checkpoints: Checkpoints, sett
     """Collect the hypotheses with which packs begin, numbered side by side."""
     parts = [checkpoints[int(p), int(begin[p])] if begin[p] else start(settings) for p in packs]
     return join([part._replace(pack=np.full(len(part.pack), i)) for i, part in enumerate(parts)])
+
+
+def wear_summary(hypotheses: Hypotheses, n: int, *, truncated: bool = True) -> tuple[Array, Array]:
+    """Compute mean and sd of ln loss over the hypotheses of n packs; `truncated` below 0 or not. (n,) each"""
+    weight = np.exp(hypotheses.log_weight)
+    mean, variance = hypotheses.mean[:, WEAR], hypotheses.cov[:, WEAR, WEAR]
+    if truncated:
+        mean, variance = _above_zero(mean, np.sqrt(variance))
+    middle = np.bincount(hypotheses.pack, weight * mean, n)
+    variance_of_all = np.bincount(hypotheses.pack, weight * (variance + (mean - middle[hypotheses.pack]) ** 2), n)
+    return middle, np.sqrt(variance_of_all)
+
+
+def _above_zero(mean: Array, sd: Array) -> tuple[Array, Array]:
+    """Compute mean and variance of a normal variable truncated below 0."""
+    a = np.clip(mean / sd, -30.0, 30.0)
+    ratio = np.sqrt(2.0 / np.pi) / erfcx(-a / np.sqrt(2.0))  # inverse Mills ratio
+    return np.maximum(mean, -30.0 * sd) + sd * ratio, sd**2 * np.maximum(1.0 - a * ratio - ratio**2, 1e-3)

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.calibration.initial_wear import ENTRY, EntryWear
-from hdt_core.components.exchanger import HX
+from hdt_core.calibration.baseline_wear import ENTRY, EntryWear
+from hdt_core.components.pack import HX
 from hdt_core.estimation.kalman_step import Affine, compute_gain, predict_belief, update_belief
 from hdt_core.estimation.problem import Belief
 from hdt_core.physics.model import declared

@@ -8,16 +8,15 @@ from typing import Any
 import dagster as dg
 import polars as pl
 
+from hdt_core.calibration.baseline_wear import audit_drift
 from hdt_core.calibration.calibrate import calibrate
-from hdt_core.calibration.design_table import design_parameters
-from hdt_core.calibration.drift_audit import audit_drift
-from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.dsm import Dsm, design_parameters
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import admit, learn_baseline, leg_indicators
 from hdt_core.flight.control_schedules import learn_schedules
 from hdt_core.flight.legs import reject_odd_bleed
 from hdt_core.records.keys import FLIGHT_PACK, LEG, of_each_aircraft
-from hdt_core.tables.signals import SIGNALS
+from hdt_core.tables.raw import SIGNALS
 from pipelines.assets.stage import StageResult, stage
 from pipelines.report.plots import as_png, figure_12, figure_13, figure_15, outlet_residuals
 from pipelines.resources import Home

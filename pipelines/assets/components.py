@@ -7,13 +7,12 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.components import Component, component_rows, recorded_components
-from hdt_core.components.compressor import CC
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import CC, HX
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
 from hdt_core.records.keys import LEG
 from hdt_core.tables import TABLES
-from hdt_core.tracking.component_readings import component_readings
+from hdt_core.tracking.component_units import component_readings
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from pipelines.assets.raw import account, with_aircraft
 from pipelines.assets.stage import stage

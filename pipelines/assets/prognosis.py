@@ -9,10 +9,8 @@ import polars as pl
 from hdt_core.margin.exchanger_demand import CRITICAL
 from hdt_core.prognosis.component_life import component_life_table, component_prognoses
 from hdt_core.prognosis.feature_rows import LOSSES, MARGIN_FEATURES
-from hdt_core.prognosis.fleet_record import FleetRecord
-from hdt_core.prognosis.model_card import fits_to_json, model_card, with_fits
-from hdt_core.prognosis.service import ModelUpdate, MonthModel, update_model
-from hdt_core.prognosis.training_digest import TrainingDigest
+from hdt_core.prognosis.fleet_record import FleetRecord, TrainingDigest
+from hdt_core.prognosis.service import ModelUpdate, MonthModel, fits_to_json, model_card, update_model, with_fits
 from hdt_core.prognosis.unit_lives import life_table
 from hdt_core.records.keys import PACK
 from pipelines.assets.components import conform_all, of_pack, recorded_in

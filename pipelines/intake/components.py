@@ -7,7 +7,7 @@ import polars as pl
 
 from hdt_core.components import Channel, Component, recorded_components
 from hdt_core.tables.base import COMPONENT_FLIGHT_ID
-from hdt_core.tables.components import RawComponents
+from hdt_core.tables.twin import RawComponents
 from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
 from pipelines.intake.fields import EARLIEST, MAX_PACKS

@@ -12,7 +12,7 @@ from typing import Any
 
 from hdt_core.prognosis.feature_rows import INPUTS
 from hdt_core.prognosis.model import Prognosis
-from hdt_core.prognosis.model_card import from_parts
+from hdt_core.prognosis.service import from_parts
 
 FILE, RECIPE = "base.skops", "recipe.json"
 TRUSTED_TYPES = ["sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor"]

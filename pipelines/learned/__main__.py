@@ -8,7 +8,7 @@ import skops.io
 
 from hdt_core.prognosis.base import fit_base
 from hdt_core.prognosis.feature_rows import INPUTS
-from hdt_core.prognosis.model_card import to_parts
+from hdt_core.prognosis.service import to_parts
 from pipelines.learned import FILE, RECIPE
 from pipelines.learned.recipe import learns_the_same, sources
 

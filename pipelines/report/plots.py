@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.calibration.compressor_fit import CompressorFit
+from hdt_core.calibration.compressor import CompressorFit
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.health.residuals import residuals
 from hdt_core.records.keys import PACK

@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks.methods import CALIBRATED_ON, SIZE, aircraft, chain, follow, packs
 from benchmarks.promise import unpolished
-from hdt_core.components.compressor import CC
+from hdt_core.components.pack import CC
 from hdt_core.estimation import estimators
 
 

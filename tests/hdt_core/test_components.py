@@ -12,8 +12,7 @@ import pytest
 from packages import install
 
 from hdt_core.components import Channel, Record, components
-from hdt_core.components.compressor import CC
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import CC, HX
 from hdt_core.physics.model import Signal
 from hdt_core.robust import huber_weights, median_error, spread, spread_expr
 
@@ -30,7 +29,7 @@ def test_the_pack_has_its_two_and_recorders_two_more():
     [
         ("broken", "raise RuntimeError('no licence')", "can't be loaded: RuntimeError: no licence"),
         ("other", "X = 1", "is no Component"),
-        ("twice", "from hdt_core.components.exchanger import HX as X", "there is a component HX already"),
+        ("twice", "from hdt_core.components.pack import HX as X", "there is a component HX already"),
         ("absent", "", "can't be loaded: AttributeError"),
     ],
 )

@@ -16,8 +16,7 @@ from hdt_core.health.features import features
 from hdt_core.health.residuals import residuals
 from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.tables import TABLES
-from hdt_core.tables.raw import RawMaintenance, RawMessages
-from hdt_core.tables.signals import SIGNALS
+from hdt_core.tables.raw import SIGNALS, RawMaintenance, RawMessages
 from hdt_core.tracking.track import track
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.twin import model_of

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 from nights import run
 
-from hdt_core.tables.hindsight import REVISIONS
+from docs.hindsight import REVISIONS
 from pipelines.storage.catalog import connect
 
 NIGHTS = ("20240401", "20240501", "20240601", "20250101")

@@ -13,7 +13,7 @@ from docs import translations
 from hdt_core.alerts.fault_isolation import CHANNELS
 from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
 from hdt_core.loading import UserError
-from hdt_core.tables.signals import Signals
+from hdt_core.tables.raw import Signals
 from pipelines import words
 from pipelines.report.explain import explain
 from pipelines.storage.catalog import connect

@@ -7,7 +7,7 @@ from typing import Any
 import polars as pl
 
 from hdt_core.calibration import exchanger as hx
-from hdt_core.calibration.compressor_fit import CompressorFit
+from hdt_core.calibration.compressor import CompressorFit
 from hdt_core.calibration.dsm import Dsm, SensorBiases
 
 COMPRESSOR = CompressorFit(

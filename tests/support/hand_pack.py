@@ -7,7 +7,7 @@ import polars as pl
 from known_fleet import departure
 
 from hdt_core.calibration import exchanger as hx
-from hdt_core.calibration.compressor_fit import CompressorFit
+from hdt_core.calibration.compressor import CompressorFit
 from hdt_core.calibration.dsm import Dsm, SensorBiases
 from hdt_core.flight.control_schedules import ControlSchedule, ControlSchedules, SpeedLimit
 

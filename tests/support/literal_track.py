@@ -4,11 +4,11 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import HX
 from hdt_core.tracking import multiple_model_filter as mmf
-from hdt_core.tracking.flight_panel import lay_out
-from hdt_core.tracking.hypotheses import start
 from hdt_core.tracking.loss_filter import loss_rows, track_loss
+from hdt_core.tracking.multiple_model_filter import start
+from hdt_core.tracking.segments import lay_out, wear_summary
 from hdt_core.tracking.sensor_shifts import corrections
 from hdt_core.tracking.track import exchanger_loss
 
@@ -26,5 +26,5 @@ def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, liter
             if row >= 0:
                 cell = (np.array([k]), np.array([pack]))
                 hypotheses, _ = mmf.step(hypotheses, panel.observations.of(cell), loss.settings)
-                (level[row],), (sd[row],) = mmf.wear_summary(hypotheses, 1)
+                (level[row],), (sd[row],) = wear_summary(hypotheses, 1)
     return loss_rows(flights, loss, HX.loss, level, sd)

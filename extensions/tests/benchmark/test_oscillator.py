@@ -7,7 +7,7 @@ import pytest
 
 from hdt_benchmark.spring_mass_damper import SIGMA_M, TRUTH, oscillator_problem, true_position_m
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, ParticleSwarm, UnscentedKalman
-from hdt_core.estimation.identifiability import fisher
+from hdt_core.estimation.fit import fisher
 from hdt_estimators import GradientDescent
 
 SEEDS = range(300)

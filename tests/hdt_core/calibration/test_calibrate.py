@@ -10,16 +10,15 @@ import pytest
 from by_hand import DSM, flights, log, with_bias
 
 from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.baseline_wear import audit_drift
 from hdt_core.calibration.calibrate import calibrate
-from hdt_core.calibration.design_table import design_parameters, elasticities, flow_elasticities
-from hdt_core.calibration.drift_audit import audit_drift
-from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.dsm import Dsm, design_parameters, elasticities, flow_elasticities
 from hdt_core.calibration.pooling import PooledLevel
 from hdt_core.estimation.panel import PanelLeastSquares
 from hdt_core.flight.legs import MILESTONES, baseline_flights
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK
-from hdt_core.tables.calibration import CalibrationDesign
+from hdt_core.tables.twin import CalibrationDesign
 
 
 def points_of(fleet) -> dict[str, np.ndarray]:

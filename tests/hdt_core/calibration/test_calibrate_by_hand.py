@@ -12,17 +12,16 @@ from hdt_core.calibration import calibrate as calibration
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration import missing_physics
 from hdt_core.calibration.arrays import correct_inputs, flights_of
+from hdt_core.calibration.baseline_wear import _clean_units, entry_posterior
 from hdt_core.calibration.calibrate import _draft_model, _middle_flows, _select_admitted, calibrate, exchanger_levels
-from hdt_core.calibration.compressor import probe_corrections
-from hdt_core.calibration.compressor_fit import _group_slope, fit_compressor
-from hdt_core.calibration.diffuser_line import BlockRows, fit_line, rows_of
+from hdt_core.calibration.compressor import _group_slope, fit_compressor
+from hdt_core.calibration.diffuser_line import BlockRows, _thin, compare_forms, fit_line, rows_of
 from hdt_core.calibration.dsm import version_of
-from hdt_core.calibration.exchanger_fit import instruments_of
-from hdt_core.calibration.forms import _thin, compare_forms
-from hdt_core.calibration.initial_wear import _clean_units, entry_posterior
+from hdt_core.calibration.exchanger import instruments_of
 from hdt_core.calibration.inlet_law import full_open_inlet_k
 from hdt_core.calibration.missing_physics import _columns, _evidence, _fit, _flight_steps, _rms, _step, propose
 from hdt_core.calibration.pooling import levels_of
+from hdt_core.calibration.sensor_biases import probe_corrections
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import TERMS
 

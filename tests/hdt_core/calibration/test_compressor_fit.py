@@ -9,16 +9,22 @@ import pytest
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import Points, cruise_samples, flights_of, level_points, to_points
-from hdt_core.calibration.compressor import compressor_samples, probe_corrections
-from hdt_core.calibration.compressor_fit import BLADE_ANGLE_RAD, HUB_RATIO, fit_compressor, inlet_geometry
-from hdt_core.calibration.design_table import flow_elasticities
-from hdt_core.calibration.exchanger_fit import exchanger_panel
+from hdt_core.calibration.compressor import (
+    BLADE_ANGLE_RAD,
+    HUB_RATIO,
+    compressor_samples,
+    fit_compressor,
+    inlet_geometry,
+)
+from hdt_core.calibration.dsm import flow_elasticities
+from hdt_core.calibration.exchanger import exchanger_panel
+from hdt_core.calibration.sensor_biases import probe_corrections
 from hdt_core.estimation import NonlinearLeastSquares
 from hdt_core.estimation.panel import PanelLeastSquares, Walk
 from hdt_core.physics.compressor import COMPRESSOR, group_at_m3, inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.records.keys import PACK
-from hdt_core.tracking.sequential import flight_by_flight
+from hdt_core.tracking.component import flight_by_flight
 
 
 def compressor_rows(samples: pl.DataFrame) -> pl.DataFrame:

@@ -5,9 +5,8 @@ import polars as pl
 import pytest
 from scipy.stats import exponnorm, norm
 
-from hdt_core.calibration.compressor_fit import _as_built, _pool, fit_compressor, inlet_geometry
-from hdt_core.calibration.diffuser_line import BlockRows, _clustered_sd, fit_line, rows_of
-from hdt_core.calibration.forms import compare_forms
+from hdt_core.calibration.compressor import _as_built, _pool, fit_compressor, inlet_geometry
+from hdt_core.calibration.diffuser_line import BlockRows, _clustered_sd, compare_forms, fit_line, rows_of
 from hdt_core.calibration.pooling import pool
 
 

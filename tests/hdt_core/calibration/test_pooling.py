@@ -9,10 +9,9 @@ from by_hand import DSM, START, flights, log, with_bias
 from scipy.stats import norm
 
 from hdt_core.calibration import exchanger as hx
-from hdt_core.calibration.compressor import probe_corrections
-from hdt_core.calibration.initial_wear import _clean_units, entry_posterior, fleet_levels
+from hdt_core.calibration.baseline_wear import _clean_units, entry_posterior, fleet_levels
 from hdt_core.calibration.pooling import levels_of, pool
-from hdt_core.calibration.sensor_priors import exit_differences, sensor_prior
+from hdt_core.calibration.sensor_biases import exit_differences, probe_corrections, sensor_prior
 from hdt_core.tracking.wear_model import Observation, at_reference
 
 GRID = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4)

@@ -10,8 +10,7 @@ from scipy import stats
 from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, unknown
 from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.descent import quadratic_model
-from hdt_core.estimation.fit import Fit, noise_variance
-from hdt_core.estimation.identifiability import Identifiability, covariance_of_free, fisher, invert_information
+from hdt_core.estimation.fit import Fit, Identifiability, covariance_of_free, fisher, invert_information, noise_variance
 from hdt_core.estimation.kalman_step import (
     Affine,
     LostTrackError,

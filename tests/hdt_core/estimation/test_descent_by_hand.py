@@ -6,12 +6,19 @@ import numpy as np
 import pytest
 
 from hdt_core.estimation import Belief, NonlinearLeastSquares, ParticleSwarm, Problem, descent, unknown
+from hdt_core.estimation.compiled import (
+    assess_optimum,
+    damped_step,
+    inverse_spd,
+    is_exhausted,
+    is_settled,
+    next_damping,
+)
 from hdt_core.estimation.conclude import conclude_at
-from hdt_core.estimation.damped import assess_optimum, damped_step, inverse_spd, is_exhausted, is_settled, next_damping
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum
-from hdt_core.estimation.identifiability import Identifiability, invert_information
-from hdt_core.estimation.pso import swarm_search
+from hdt_core.estimation.fit import Identifiability, invert_information
+from hdt_core.estimation.optimisers import swarm_search
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 
 NORMAL = np.array([[4.0, 1.0, -0.5], [1.0, 9.0, 2.0], [-0.5, 2.0, 3.0]])

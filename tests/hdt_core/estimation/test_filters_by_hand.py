@@ -19,7 +19,7 @@ from hdt_core.estimation import (
     unknown,
 )
 from hdt_core.estimation.estimate import _correlations
-from hdt_core.estimation.identifiability import Identifiability
+from hdt_core.estimation.fit import Identifiability
 from hdt_core.estimation.kalman import (
     FilterPass,
     _line_search,
@@ -31,9 +31,8 @@ from hdt_core.estimation.kalman import (
     standardise_innovations,
     trajectory,
 )
-from hdt_core.estimation.kalman_step import Correction, LostTrackError, tangent
+from hdt_core.estimation.kalman_step import Correction, LostTrackError, regression, tangent, upper_root
 from hdt_core.estimation.problem import Kernels, _scale
-from hdt_core.estimation.ukf import regression, upper_root
 
 X = np.linspace(-1.0, 2.0, 12)
 

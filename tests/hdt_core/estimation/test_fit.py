@@ -10,7 +10,7 @@ from compressor_problem import AREA_M2, BETA_RAD, DIAMETER_M, compressor
 from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, UnscentedKalman, unknown
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.descent import descend
-from hdt_core.estimation.identifiability import Identifiability, fisher, invert_information
+from hdt_core.estimation.fit import Identifiability, fisher, invert_information
 from hdt_core.estimation.optimum_checks import RISE, profile_intervals
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 

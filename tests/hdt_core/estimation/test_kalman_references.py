@@ -12,8 +12,7 @@ from scipy.stats import multivariate_normal
 from hdt_benchmark.spring_mass_damper import oscillator_problem
 from hdt_core.estimation import Belief, ExtendedKalman, Problem, UnscentedKalman, unknown
 from hdt_core.estimation.kalman import forward, smooth
-from hdt_core.estimation.kalman_step import tangent
-from hdt_core.estimation.ukf import regression, upper_root
+from hdt_core.estimation.kalman_step import regression, tangent, upper_root
 
 FOLDER = Path(__file__).parents[2] / "data" / "kalman"
 NOTHING = Belief(np.empty(0), np.empty((0, 0)))

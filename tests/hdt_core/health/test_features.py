@@ -9,7 +9,7 @@ from polars.testing import assert_frame_equal
 
 from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
 from hdt_core.health.features import features, residual_column, since_maintenance, virtual_sensors
-from hdt_core.tables.residuals import Residuals
+from hdt_core.tables.twin import Residuals
 
 START = datetime(2024, 3, 1, 6, tzinfo=UTC)
 NO_RESIDUALS = Residuals.create_empty()

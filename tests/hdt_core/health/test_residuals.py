@@ -17,7 +17,7 @@ from hdt_core.health.residuals import KINDS, SIGNALS, component_residuals, resid
 from hdt_core.physics.compressor import exit_temperature_k, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
-from hdt_core.tables.residuals import Residuals
+from hdt_core.tables.twin import Residuals
 
 KEY = ["operator", "tail", "flight_id", "pack"]
 LOSS = 0.2

@@ -6,7 +6,7 @@ import pytest
 from hand_pack import FLIGHT, LAWS
 
 from hdt_core.health.sensor_checks import CHECKS, cross_checks
-from hdt_core.tables.signals import SIGNALS
+from hdt_core.tables.raw import SIGNALS
 
 FROM = 30
 

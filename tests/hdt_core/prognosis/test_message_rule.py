@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import expit, logit
 
-from hdt_core.components.compressor import CC
+from hdt_core.components.pack import CC
 from hdt_core.margin.margin import PRIOR_RULE as PRIOR
-from hdt_core.prognosis import message_rule
+from hdt_core.prognosis import recalibrate
 from hdt_core.prognosis.component_life import learn_limit
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by
 from hdt_core.prognosis.recalibrate import TERMS, USUAL_ODDS, HazardCorrection, learn_correction, learn_levels
@@ -29,7 +29,7 @@ def rule_onsets(overheat: np.ndarray, excess_k: float, of: int) -> int:
 
 
 def learn_rules(overheat, message, operator):
-    return message_rule.learn_rules(message_rule.rule_onsets(list(overheat.values())), message, operator)
+    return recalibrate.learn_rules(recalibrate.rule_onsets(list(overheat.values())), message, operator)
 
 
 def by_loops(overheat, message, weight) -> tuple[float, int, float, float]:
@@ -94,11 +94,11 @@ def test_without_any_message_the_prior_stands():
 
 def test_before_any_message_two_flights_of_three_are_as_likely_as_all_else():
     """What is exact counts half; near, missed and spurious are rarer, in this order of likelihood."""
-    prior = message_rule.PERSISTENCE_PRIOR
+    prior = recalibrate.PERSISTENCE_PRIOR
     assert (prior[1], prior[2], prior[3], sum(prior.values())) == (0.25, 0.25, 0.5, 1.0)
     onsets, message = np.array([[10], [13], [14], [-1], [-1], [5]]), np.array([[10], [10], [10], [10], [-1], [-1]])
-    np.testing.assert_allclose(np.exp(message_rule._fit(onsets, message))[:, 0], [0.5, 0.12, 0.03, 0.03, 0.92, 0.08])
-    assert len(message_rule.RULES) == 2 * 3 * 15
+    np.testing.assert_allclose(np.exp(recalibrate._fit(onsets, message))[:, 0], [0.5, 0.12, 0.03, 0.03, 0.92, 0.08])
+    assert len(recalibrate.RULES) == 2 * 3 * 15
 
 
 def landmarks(n: int, rate: float) -> tuple[np.ndarray, ...]:

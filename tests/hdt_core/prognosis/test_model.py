@@ -27,9 +27,8 @@ from hdt_core.prognosis.model import (
     predict_by_fold,
     split_tails,
 )
-from hdt_core.prognosis.model_card import fits_to_json, from_parts, model_card, promote, to_parts, with_fits
 from hdt_core.prognosis.recalibrate import HazardCorrection
-from hdt_core.prognosis.service import update_model
+from hdt_core.prognosis.service import fits_to_json, from_parts, model_card, promote, to_parts, update_model, with_fits
 from hdt_core.prognosis.unit_lives import episodes
 from pipelines.learned import shipped_base
 

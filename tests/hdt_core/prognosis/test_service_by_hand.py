@@ -16,7 +16,16 @@ from hdt_core.prognosis import base as base_module
 from hdt_core.prognosis import hazard, model
 from hdt_core.prognosis.component_life import _event_by, first_passage
 from hdt_core.prognosis.feature_rows import PRIOR_RULES, _trailing_median, tracks
-from hdt_core.prognosis.fleet_record import FleetRecord, month_of, score_months, start_of
+from hdt_core.prognosis.fleet_record import (
+    FleetRecord,
+    TrainingDigest,
+    flights_not_learned,
+    month_of,
+    retraining_reason,
+    score_months,
+    start_of,
+    training_digests,
+)
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, events_ahead, hazards, passage_hazards, quantile
 from hdt_core.prognosis.metrics import constant_interval_score, interval_score
 from hdt_core.prognosis.model import (
@@ -28,15 +37,8 @@ from hdt_core.prognosis.model import (
     split_tails,
     with_version,
 )
-from hdt_core.prognosis.model_card import from_parts, model_card, promote, to_parts
 from hdt_core.prognosis.recalibrate import NOMINAL, TERMS, HazardCorrection
-from hdt_core.prognosis.service import _version_of, same_base
-from hdt_core.prognosis.training_digest import (
-    TrainingDigest,
-    flights_not_learned,
-    retraining_reason,
-    training_digests,
-)
+from hdt_core.prognosis.service import _version_of, from_parts, model_card, promote, same_base, to_parts
 from hdt_core.prognosis.unit_lives import episodes
 
 DIGEST = TrainingDigest(

@@ -11,13 +11,12 @@ from benchmarks.prognosis import calibration
 from hdt_core.components import Limit, components
 from hdt_core.margin.exchanger_demand import CRITICAL
 from hdt_core.margin.margin import MessageRule
-from hdt_core.prognosis.base import simulated_rows
+from hdt_core.prognosis.base import draw_fleets, simulated_rows
 from hdt_core.prognosis.component_life import component_prognoses, first_passage, learn_limit
 from hdt_core.prognosis.feature_rows import FEATURES, LN_RATIO_PER_K, fleet_rows, learn_rule, tracks
 from hdt_core.prognosis.hazard import quantile
 from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 from hdt_core.prognosis.unit_lives import episodes, flight_rows, life_table, with_lives
-from hdt_core.simulate.training import draw_fleets
 
 START = datetime(2024, 1, 1, 6, tzinfo=UTC)
 HX_CODE, CC_CODE = "21-52-HXTEMP", "21-51-CCFLOW"

@@ -8,12 +8,12 @@ import pytest
 
 from hdt_core.physics.compressor import effective_diameter_m
 from hdt_core.physics.heat_exchanger import mean_specific_heat_j_kg_k
+from hdt_core.prognosis.base import join_unlogged_lives
 from hdt_core.simulate import packs
 from hdt_core.simulate.design import FleetSettings, draw_design
 from hdt_core.simulate.episodes import LEAD, EpisodeSettings, draw_episodes
 from hdt_core.simulate.fleet import by_month, design_truth, simulate_fleet
 from hdt_core.simulate.recorder import SENSORS
-from hdt_core.simulate.training import join_unlogged_lives
 from hdt_core.simulate.wear import SHAPES, WearSettings, draw_wear
 
 SIZE = FleetSettings(operators=2, tails=1, flights=160, cpl_share=0.01)

@@ -11,8 +11,7 @@ from by_hand import flights, log
 from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.records.keys import LEG, PACK
-from hdt_core.tracking.checkpoints import checkpoint_rows, read_checkpoints
-from hdt_core.tracking.component import declared_estimator
+from hdt_core.tracking.component import MIN_SAMPLES, declared_estimator, flight_by_flight, recorded_outputs
 from hdt_core.tracking.component_units import (
     _as_built,
     _calibrate_pack,
@@ -25,8 +24,8 @@ from hdt_core.tracking.component_units import (
     pack_models,
     unit_health,
 )
-from hdt_core.tracking.hypotheses import start
-from hdt_core.tracking.sequential import MIN_SAMPLES, flight_by_flight, recorded_outputs
+from hdt_core.tracking.loss_filter import checkpoint_rows, read_checkpoints
+from hdt_core.tracking.multiple_model_filter import start
 from hdt_core.tracking.wear_model import Settings
 
 PUMP = PhysicsModel(

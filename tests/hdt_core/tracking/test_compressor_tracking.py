@@ -9,8 +9,8 @@ from by_hand import DSM, flights, log
 from scipy.stats import norm
 
 from hdt_core.tracking.component import scatter_by_segment
-from hdt_core.tracking.compressor_tracking import effective_diameter
-from hdt_core.tracking.compressor_tracking import track_compressor as tracked
+from hdt_core.tracking.track import effective_diameter
+from hdt_core.tracking.track import track_compressor as tracked
 
 LOSSES = {"cc_efficiency_loss": (0.25, 0.008, 0.01, 0.006), "cc_diameter_loss": (1.0 - 0.75**0.5, 0.04, 0.0, 0.02)}
 """Loss at failure, spread of machines, error of the fleet's level, scatter of a flight."""

@@ -9,7 +9,7 @@ import pytest
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import HX
 from hdt_core.estimation import NonlinearLeastSquares
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.problem import Problem

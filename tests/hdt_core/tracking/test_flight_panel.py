@@ -7,9 +7,9 @@ import polars as pl
 import pytest
 from by_hand import DSM, flights, log
 
-from hdt_core.components.exchanger import HX
-from hdt_core.tracking.flight_panel import FlightPanel, fingerprints, lay_out
-from hdt_core.tracking.loss_filter import loss_rows
+from hdt_core.components.pack import HX
+from hdt_core.tracking.loss_filter import fingerprints, loss_rows
+from hdt_core.tracking.segments import FlightPanel, lay_out
 from hdt_core.tracking.sensor_shifts import Corrections
 from hdt_core.tracking.track import _null_invalid, exchanger_loss, track
 

@@ -10,10 +10,9 @@ from twin_flights import NO_LOG, entry, flights_with_loss
 
 from hdt_core.tables.twin import TwinFlights
 from hdt_core.tracking import segments
-from hdt_core.tracking.flight_panel import FlightPanel
-from hdt_core.tracking.hypotheses import start
 from hdt_core.tracking.loss_filter import TrackResult
-from hdt_core.tracking.segments import _merge_branches, filter_segments
+from hdt_core.tracking.multiple_model_filter import start
+from hdt_core.tracking.segments import FlightPanel, _merge_branches, filter_segments
 from hdt_core.tracking.track import track
 from hdt_core.tracking.wear_model import Observation, Settings
 

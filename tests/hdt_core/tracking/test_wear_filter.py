@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
-from hdt_core.tracking import hypotheses as hy
 from hdt_core.tracking import multiple_model_filter as mmf
-from hdt_core.tracking.hypotheses import Hypotheses, join, normalise, prune, start
-from hdt_core.tracking.segments import smooth
+from hdt_core.tracking.multiple_model_filter import Hypotheses, join, normalise, prune, start
+from hdt_core.tracking.segments import smooth, wear_summary
 from hdt_core.tracking.wear_model import Observation, Settings
 
 PACES = [(0.45, 1.5e-4, 2e-4, 4e-5, 4e-5), (0.45, 1e-3, 8e-4, 6e-5, 6e-5), (0.10, 6e-3, 4e-3, 6e-5, 5e-4)]
@@ -174,7 +173,7 @@ def flown(request: pytest.FixtureRequest) -> tuple[list[list[One]], list[Hypothe
     enumerated, filtered, branchings = [start], [flat(start)], []
     with pytest.MonkeyPatch.context() as patched:
         for name, value in {"LEAST_WEIGHT": 1e-290, "WEAR_BIN": 1e-13, "MOST": 10**6}.items():
-            patched.setattr(hy, name, value)
+            patched.setattr(mmf, name, value)
         for ratio, exposure, *log in CASES[request.param]:
             enumerated.append(one_flight(enumerated[-1], ratio, 5e-4, exposure, *log))
             observation = Observation(*(np.array([v]) for v in (ratio, 5e-4, exposure, *log, UNCHECKED)))
@@ -192,7 +191,7 @@ def test_every_hypothesis_is_enumerated(flown):
                          for h in states)  # fmt: skip
         assert len(ours) == len(by_hand)
         np.testing.assert_allclose(np.array(ours, float), np.array(by_hand, float), rtol=1e-6, atol=1e-12)
-        mean, sd = mmf.wear_summary(batch, 1)
+        mean, sd = wear_summary(batch, 1)
         expected = above_zero(*zip(*((np.exp(h.lw), h.m[0], np.sqrt(h.p[0, 0])) for h in states), strict=True))
         np.testing.assert_allclose((mean[0], sd[0]), expected, rtol=1e-6)
 
@@ -241,7 +240,7 @@ def test_a_pack_begins_with_every_pace_and_every_wear_at_entry():
 def test_wear_is_never_negative():
     """Of a normal variable a hundred deviations below 0 as much is left above as of one thirty below: sd / 30."""
     below = flat(first(1))._replace(mean=np.array([[-1.0, 0, 0, 0, 0]]), cov=np.diag([1e-4] * 5)[None])
-    mean, sd = (v[0] for v in mmf.wear_summary(below, 1))
+    mean, sd = (v[0] for v in wear_summary(below, 1))
     assert (mean, sd) == pytest.approx((0.01 / 30, 0.01 / 30), rel=0.05)
 
 

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from hdt_core.components import Channel, Record
-from hdt_core.components.exchanger import HX
+from hdt_core.components.pack import HX
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from pipelines.intake import components as intake
 from pipelines.intake.landing_file import FileIntake, LandingFile
