@@ -75,20 +75,14 @@ def test_its_version_follows_all_that_it_says_and_nothing_else():
 NORMAL = np.random.default_rng(5).normal(0.0, 2.0, 200_000)
 
 
-def test_spread_is_the_standard_deviation_of_normal_values_and_no_stray_moves_it():
+def test_spread_and_hubers_location_are_those_of_normal_values():
     assert spread(NORMAL) == pytest.approx(2.0, rel=0.01)
     strays = np.where(np.arange(NORMAL.size) % 20 == 0, 1e6, NORMAL)
     assert spread(strays) == pytest.approx(2.0, rel=0.1)
     assert pl.DataFrame({"x": NORMAL}).select(spread_expr(pl.col("x"))).item() == pytest.approx(spread(NORMAL))
     assert spread(np.append(NORMAL, np.nan)) == spread(NORMAL)
-
-
-def test_the_error_of_a_median_is_what_medians_scatter():
     medians = np.median(NORMAL.reshape(-1, 50), axis=1)
     assert 2.0 * median_error(50.0) == pytest.approx(medians.std(), rel=0.05)
-
-
-def test_hubers_location_is_95_per_cent_efficient():
     groups = NORMAL.reshape(-1, 50)
     place = np.median(groups, axis=1)
     for _ in range(20):

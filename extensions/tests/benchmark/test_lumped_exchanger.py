@@ -40,7 +40,7 @@ def test_rates_are_those_of_equations_7_and_8():
     assert cold == pytest.approx((-1.6 * 40.0 + 2000.0 * 30.0 / CP_COLD_J_KG_K) / 8.0)
 
 
-def test_declared_sensors_ranges_and_starts():
+def test_declared_sensors_ranges_and_starts_and_untied_coefficients_break_the_balance():
     model = lumped_exchanger()
     coefficient, mass = (2500.0, (1.0, 1e6), "design", 0.0), (8.0, (0.01, 50.0), "design", 0.0)
     assert [(p.nominal, p.bounds, p.role, p.drift) for p in model.params] == [
@@ -48,9 +48,6 @@ def test_declared_sensors_ranges_and_starts():
     ]  # fmt: skip
     assert [s.sigma for s in (*model.inputs, *model.outputs)] == [0.01, None, 0.5, 0.2, 0.5, 0.5]
     assert [(s.name, s.initial) for s in model.states] == [("hot_volume_k", 320.0), ("cold_volume_k", 290.0)]
-
-
-def test_untied_coefficients_break_the_balance_of_heat():
     hot_out, ram_out = steady_outlets_k(**AT, hx_h_hot_w_k=2500.0, hx_h_cold_w_k=2000.0)
     assert 0.9 * CP_HOT_J_KG_K * (390.0 - hot_out) > 1.2 * 1.6 * CP_COLD_J_KG_K * (ram_out - 250.0)
 

@@ -67,7 +67,7 @@ def test_every_diagnosis_ends_with_work_on_its_component_and_no_other(code: str)
             assert case.closed_flight == (50 if component == diagnosis.component and action == "REPLACED" else None)
 
 
-def test_when_raised_and_now_are_told_apart() -> None:
+def test_when_raised_and_now_are_told_apart_and_what_was_raised_is_never_said_otherwise() -> None:
     rows = features(np.linspace(0.0, 0.35, FLIGHTS), door_full_open_share=np.linspace(0.0, 0.4, FLIGHTS) ** 2)
     (alert,) = alerts(rows, NOTHING).to_dicts()
     raised = rows.filter(flight_id=alert["raised_flight_id"])["hx_fouling"].item()
@@ -75,9 +75,6 @@ def test_when_raised_and_now_are_told_apart() -> None:
     assert "Heat transfer lost (hx_fouling) 35 % (33 to 37)" in alert["evidence_now"]
     assert (alert["raised_severity"], alert["severity"]) == ("medium", "high")
     assert alert["now_flight_id"] == rows["flight_id"][-1]
-
-
-def test_what_was_raised_is_never_said_otherwise_later() -> None:
     rows = features(np.linspace(0.0, 0.35, FLIGHTS))
     whole, part = alerts(rows, NOTHING), alerts(rows.head(70), NOTHING)
     stays = ["alert_id", "raised_at", "raised_severity", "evidence", "recommended_action"]
@@ -120,7 +117,7 @@ def three_packs() -> pl.DataFrame:
     return pl.concat(f.with_columns(tail=pl.lit(f"T-{k}")) for k, f in enumerate(worn))
 
 
-def test_the_limit_in_service_says_what_was_said() -> None:
+def test_the_limit_in_service_says_what_was_said_and_a_lower_one_hears_of_more_and_earlier() -> None:
     rows = three_packs()
     in_service = {t.diagnosis: t.alerts for t in trials(rows, pl.DataFrame(), NOTHING) if t.in_service}
     assert set(in_service) == set(VALUES)
@@ -130,9 +127,6 @@ def test_the_limit_in_service_says_what_was_said() -> None:
     ]  # fmt: skip
     for diagnosis in set(VALUES) - {"RAM_DOOR_FAULT"}:
         assert in_service[diagnosis].sort("alert_id").equals(alerts(rows, NOTHING).sort("alert_id"))
-
-
-def test_a_lower_limit_hears_of_more_packs_and_earlier() -> None:
     limits = [t for t in trials(three_packs(), pl.DataFrame(), NOTHING) if t.diagnosis == "HX_FOULING"]
     assert [t.value for t in limits] == sorted(t.value for t in limits)
     packs = [set(t.alerts["tail"]) for t in limits]
@@ -160,9 +154,14 @@ def worn(after: float) -> np.ndarray:
     )
 
 
-def test_found_clean_it_closes_and_stays_closed_while_the_loss_stays() -> None:
+def test_an_inspection_that_found_it_clean_closes_it_at_once_and_for_as_long_as_the_loss_stays() -> None:
     (alert,) = alerts(features(worn(0.0)), inspection()).to_dicts()
     assert (alert["closed_at"], alert["closed_reason"]) == (departure(LOOKED_AFTER), "found_clean")
+    (alert,) = alerts(features(worn(0.0)), inspection(FLIGHTS)).to_dicts()
+    assert (alert["closed_at"], alert["closed_reason"]) == (departure(FLIGHTS) - timedelta(minutes=5), "found_clean")
+    rows = features(worn(0.1))
+    with_it, without = (alerts(rows.head(LOOKED_AFTER), m) for m in (inspection(), inspection().clear()))
+    assert with_it.drop("closed_at", "closed_reason").equals(without.drop("closed_at", "closed_reason"))
 
 
 def test_a_loss_that_grows_on_comes_back_as_the_sensors() -> None:
@@ -231,17 +230,6 @@ def test_the_sensors_case_ends_with_the_next_unit_and_with_a_new_sensor() -> Non
     twice = pl.concat([inspection(), *(work(departure(k) - timedelta(minutes=5), timed=True) for k in (80, 95))])
     later = np.where(np.arange(FLIGHTS) < 85, worn(0.0), worn(0.0) + 0.05)  # the next unit wears by itself
     assert alerts(features(later), twice)["diagnosis"].to_list() == ["HX_FOULING"] * 2
-
-
-def test_an_inspection_since_the_last_flight_closes_it_at_once() -> None:
-    (alert,) = alerts(features(worn(0.0)), inspection(FLIGHTS)).to_dicts()
-    assert (alert["closed_at"], alert["closed_reason"]) == (departure(FLIGHTS) - timedelta(minutes=5), "found_clean")
-
-
-def test_what_an_inspection_says_changes_nothing_before_it() -> None:
-    rows = features(worn(0.1))
-    with_it, without = (alerts(rows.head(LOOKED_AFTER), m) for m in (inspection(), inspection().clear()))
-    assert with_it.drop("closed_at", "closed_reason").equals(without.drop("closed_at", "closed_reason"))
 
 
 def test_an_alert_that_only_its_name_ends() -> None:

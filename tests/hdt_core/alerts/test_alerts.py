@@ -67,13 +67,21 @@ def says_everything(out: pl.DataFrame) -> bool:
     return bool(out.select((words & cost & pl.col("recommended_action").str.contains("ATA 21-")).all()).item())
 
 
-def test_sound_aircraft_raises_nothing(samples, nothing_done) -> None:
+def test_a_sound_aircraft_a_column_never_recorded_and_no_flights_raise_nothing(samples, nothing_done) -> None:
     out = alerts_of(samples, track(samples, {}), nothing_done)
     assert out.height == 0
     assert FeaturesAlerts.faults(out) == []
+    without = samples.with_columns(
+        pl.lit(None, pl.Float64).alias("cc_out_k"), pl.lit(None, pl.Float64).alias("cc_flow_kg_s")
+    )
+    assert alerts_of(without, track(without, {}), nothing_done).height == 0
+    none = samples.clear()
+    out = raise_alerts(pl.DataFrame(schema=track(samples, {}).schema), track(samples, {}).clear(), nothing_done)
+    assert out.height == 0
+    assert cross_checks(none).height == 0
 
 
-def test_fouling_is_one_case_once_it_is_sure(samples, nothing_done) -> None:
+def test_fouling_is_one_case_of_each_operators_tail_once_it_is_sure(samples, nothing_done) -> None:
     loss = 0.1 + 0.0012 * np.arange(FLIGHTS)
     health = track(samples, {1: loss})
     out = alerts_of(samples, health, nothing_done)
@@ -83,37 +91,30 @@ def test_fouling_is_one_case_once_it_is_sure(samples, nothing_done) -> None:
     assert 0.15 <= raised <= 0.18
     assert out["closed_at"][0] is None
     assert FeaturesAlerts.faults(out) == []
-
-
-def test_alerts_of_one_tail_and_flight_under_two_operators_are_two(samples, nothing_done) -> None:
     both = pl.concat([samples, samples.with_columns(operator=pl.lit("TSU"))])
     health = track(samples, {1: 0.1 + 0.0012 * np.arange(FLIGHTS)})
     health = pl.concat([health, health.with_columns(operator=pl.lit("TSU"))])
     assert alerts_of(both, health, nothing_done)["operator"].to_list() == ["TST", "TSU"]
 
 
-def test_sudden_clog_is_called_within_three_flights(samples, nothing_done) -> None:
+def test_a_sudden_clog_is_called_within_three_flights_and_wavering_about_the_limit_is_one_case(
+    samples, nothing_done
+) -> None:
     loss = np.where(np.arange(FLIGHTS) >= 60, 0.32, 0.04)
     out = alerts_of(samples, track(samples, {2: loss}), nothing_done)
     assert out["diagnosis"].to_list() == ["HX_SUDDEN_CLOG"]
     assert out["pack"].to_list() == [2]
     assert out["raised_at"][0] <= when(samples, 63)
     assert out["severity"][0] == "high"
-
-
-def test_replacement_closes_and_a_lagging_track_does_not_reopen(samples, nothing_done) -> None:
+    rng = np.random.default_rng(0)
+    loss = 0.16 + 0.008 * rng.standard_normal(FLIGHTS)
+    assert alerts_of(samples, track(samples, {1: loss}), nothing_done).height == 1
     flight = np.arange(FLIGHTS)
     loss = np.where(flight < 50, 0.006 * flight, 0.3 * np.exp(-(flight - 50) / 3.0))
     done = replace(nothing_done, when(samples, 50).date(), "HX")
     out = alerts_of(samples, track(samples, {1: loss}), done)
     assert out.height == 1
     assert out["closed_at"][0] is not None
-
-
-def test_wavering_about_the_limit_is_one_case(samples, nothing_done) -> None:
-    rng = np.random.default_rng(0)
-    loss = 0.16 + 0.008 * rng.standard_normal(FLIGHTS)
-    assert alerts_of(samples, track(samples, {1: loss}), nothing_done).height == 1
 
 
 def test_jam_is_a_door_and_not_a_sensor_nor_wear(samples, nothing_done) -> None:
@@ -199,13 +200,6 @@ def test_silent_sensor_is_one_case_that_closes_when_it_speaks(samples, nothing_d
     assert says_everything(out)
 
 
-def test_column_that_was_never_recorded_is_no_fault(samples, nothing_done) -> None:
-    without = samples.with_columns(
-        pl.lit(None, pl.Float64).alias("cc_out_k"), pl.lit(None, pl.Float64).alias("cc_flow_kg_s")
-    )
-    assert alerts_of(without, track(without, {}), nothing_done).height == 0
-
-
 def test_nothing_leaks_from_the_future(samples, nothing_done) -> None:
     hit = fault(samples, 2, 50)
     shifted = samples.with_columns(
@@ -233,13 +227,6 @@ def test_health_that_the_features_lack_is_taken_from_the_long_form(samples):
     assert set(filled_loss["hx_fouling"]) == {0.1}
     assert "hx_fouling_sd" not in filled_loss.columns
     assert with_health(bare, pl.DataFrame()).equals(bare)
-
-
-def test_no_flights_no_alerts(samples, nothing_done) -> None:
-    none = samples.clear()
-    out = raise_alerts(pl.DataFrame(schema=track(samples, {}).schema), track(samples, {}).clear(), nothing_done)
-    assert out.height == 0
-    assert cross_checks(none).height == 0
 
 
 def test_a_door_at_its_lower_stop_is_not_jammed(samples, nothing_done) -> None:

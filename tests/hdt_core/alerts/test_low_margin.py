@@ -48,7 +48,7 @@ def hx(alerts: pl.DataFrame) -> list[str]:
     return alerts.filter(component="HX")["diagnosis"].to_list()
 
 
-def test_little_reserve_on_a_sound_exchanger_is_its_own_diagnosis():
+def test_little_reserve_on_a_sound_exchanger_is_its_own_diagnosis_and_a_worn_one_is_called_worn():
     cases = raise_alerts(fleet(0.97, 0.04), HEALTH, LOG)
     assert hx(cases) == ["HX_LOW_MARGIN"]
     row = cases.row(0, named=True)
@@ -57,9 +57,6 @@ def test_little_reserve_on_a_sound_exchanger_is_its_own_diagnosis():
     assert "air outside -8 K" in row["evidence"]
     assert "Not a new exchanger alone" in row["recommended_action"]
     assert row["closed_at"] is None
-
-
-def test_a_worn_exchanger_is_called_worn():
     assert hx(raise_alerts(fleet(0.97, 0.25), HEALTH, LOG)) == ["HX_FOULING"]
 
 

@@ -73,7 +73,7 @@ def checks(**columns: object) -> dict[str, object]:
 LATE = FLIGHT >= 50
 
 
-def test_a_shifted_sensor_is_named_with_what_moved_since_when():
+def test_a_shifted_sensor_is_named_with_what_moved_since_when_and_starts_anew_once_repaired():
     (case,) = mach_cases(**checks(w_inlet_minus_tat_k=2.0 * LATE))
     assert (case.diagnosis, case.facts["sensor"], case.facts["whose"]) == ("SENSOR_FAULT", "cc_in_k", "own")
     assert case.facts["channel"] == "inlet_minus_tat_k"
@@ -81,6 +81,8 @@ def test_a_shifted_sensor_is_named_with_what_moved_since_when():
     assert case.facts["p"] > 0.95
     assert case.facts["moved"] > 0.5
     assert case.closed_flight is None
+    cases = mach_cases(work_before(50, "SENSOR"), **checks(w_inlet_minus_tat_k=2.0 * LATE))
+    assert cases == []
 
 
 def test_a_shift_that_only_echoes_a_silence_is_no_news():
@@ -90,11 +92,6 @@ def test_a_shift_that_only_echoes_a_silence_is_no_news():
     assert names == ["dropout"]
     before = {"cc_in_k_lost_share": np.where((FLIGHT >= 20) & (FLIGHT < 24), 0.9, 0.0)}
     assert [case.facts["kind"] for case in mach_cases(**shifted, **before)] == ["dropout", "shift"]
-
-
-def test_a_repaired_sensor_starts_anew():
-    cases = mach_cases(work_before(50, "SENSOR"), **checks(w_inlet_minus_tat_k=2.0 * LATE))
-    assert cases == []
 
 
 @pytest.mark.parametrize(("gap_k", "doubtful"), [(2.6, True), (2.4, False)])
@@ -156,20 +153,14 @@ def one_each(*cases: Case) -> list[tuple[int, str, int, int | None]]:
     ]
 
 
-def test_of_two_names_within_twelve_flights_the_first_and_surer_stands() -> None:
+def test_of_two_names_within_twelve_flights_the_surer_stands_and_the_same_one_carries_its_case_on() -> None:
     assert one_each(case(62, sensor="tat_k"), case(50)) == [(0, "mach", 50, None)]
     assert one_each(case(63, sensor="tat_k"), case(50)) == [(0, "mach", 50, None), (0, "tat_k", 63, None)]
     assert one_each(case(50, p=0.96), case(50, sensor="tat_k", p=0.97)) == [(0, "tat_k", 50, None)]
-
-
-def test_the_same_sensor_again_carries_its_case_on() -> None:
     assert one_each(case(50, 60), case(72, 80)) == [(0, "mach", 50, 80)]
     assert one_each(case(50, 60), case(72)) == [(0, "mach", 50, None)]
     assert one_each(case(50, 90), case(70, 80)) == [(0, "mach", 50, 90)]
     assert one_each(case(50, 60), case(73, 80)) == [(0, "mach", 50, 60), (0, "mach", 73, 80)]
-
-
-def test_the_other_pack_accused_long_after_ends_the_first_case() -> None:
     own = {"sensor": "cc_in_k"}
     assert one_each(case(50, **own), case(60, unit=1, **own)) == [(0, "cc_in_k", 50, None)]
     assert one_each(case(50, **own), case(70, unit=1, **own)) == [(0, "cc_in_k", 50, 71), (1, "cc_in_k", 70, None)]
@@ -265,14 +256,11 @@ def test_near_its_stop_a_door_is_jammed_where_the_outlet_runs_warmer_than_usual(
     assert cases[:1] == ([(31, 53)] if jammed else [])  # with twenty of the last forty it is usual
 
 
-def test_what_is_usual_wants_five_flights_before():
+def test_what_is_usual_wants_five_flights_and_two_of_three_make_a_jam_that_four_without_end():
     resting = {"door_max": 0.12, "door_span": 0.02}
     for first, jammed in ((5, True), (4, False)):
         above = np.where(first > FLIGHT, 0.0, np.where(first + 2 > FLIGHT, 7.0, 0.0))
         assert bool(door_spans(JAM | resting | {"w_hx_out_minus_target_k": above})) is jammed
-
-
-def test_two_flights_of_three_make_a_jam_and_four_without_end_it():
     span = np.full(FLIGHTS, 0.3)
     span[[20, 22]] = 0.02
     assert door_spans(JAM | {"door_span": span}) == [(22, 26)]

@@ -22,25 +22,22 @@ def fouling(loss: object, log: pl.DataFrame = NOTHING, sick: object = False, pla
     return hx_cases(grid(**columns), log, Limits(), flags, plan)
 
 
-def test_odds_are_those_of_a_normal_estimate():
+def test_odds_are_those_of_a_normal_estimate_against_the_limits_in_service():
     assert odds_above(np.array([0.16, 0.15, np.nan]), np.array([0.01, 0.02, 0.01]), 0.15).tolist() == pytest.approx(
         [norm.cdf(1.0), 0.5, 0.0]
     )
     assert odds_above(np.array([0.16, 0.1]), np.array([np.nan, 0.0]), 0.15).tolist() == pytest.approx(
         [norm.cdf(0.01), 0.0]
     )
+    assert Limits() == Limits(
+        fouling=0.15, fouling_odds=0.7, fouling_soon=0.09, soon_odds=0.8, soon_flights=100.0, clog=0.1, ram_flow=0.04,
+        passage=0.9, compressor=0.05, lost_share=0.2, still_span=0.035, peg_k=1.3,
+    )  # fmt: skip
 
 
 def limit_at(limit: float, odds: float) -> float:
     """Loss, known to .01, that is above a limit with these odds."""
     return limit + 0.01 * norm.ppf(odds)
-
-
-def test_limits_in_service():
-    assert Limits() == Limits(
-        fouling=0.15, fouling_odds=0.7, fouling_soon=0.09, soon_odds=0.8, soon_flights=100.0, clog=0.1, ram_flow=0.04,
-        passage=0.9, compressor=0.05, lost_share=0.2, still_span=0.035, peg_k=1.3,
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize(("loss", "raised"), [(limit_at(0.15, 0.701), True), (limit_at(0.15, 0.699), False)])
@@ -63,10 +60,14 @@ def test_a_case_is_held_for_15_flights_below_three_quarters_of_the_soon_limit(af
     assert spans(fouling(np.where(FLIGHT < 40, 0.2, after))) == [("HX_FOULING", 2, None if ends else 54)]
 
 
-def test_a_new_unit_is_believed_after_five_flights():
+def test_a_new_unit_is_believed_after_five_flights_and_a_case_tells_since_when_it_is_worn():
     assert spans(fouling(0.2, work_before(30))) == [("HX_FOULING", 2, 30), ("HX_FOULING", 38, None)]
     assert spans(fouling(0.2, work_before(30, action="CLEANED"))) == [("HX_FOULING", 2, 30), ("HX_FOULING", 38, None)]
     assert spans(fouling(0.2, work_before(30, "CC"))) == [("HX_FOULING", 2, None)]
+    (case,) = fouling(np.where(FLIGHT < 20, 0.05, np.where(FLIGHT < 40, 0.051, 0.2)))
+    assert case.facts["since"] == 20
+    assert case.facts_at(45)["gained"] != case.facts_at(45)["gained"]  # no flight alone says
+    assert fouling(0.2)[0].facts["since"] == 0
 
 
 @pytest.mark.parametrize(("loss", "raised"), [(0.269, 43), (0.271, 22)])
@@ -160,13 +161,6 @@ def test_a_jump_and_the_loss_it_leads_to_within_40_flights_are_one_case(rise, na
     cases = fouling(np.where(rise > FLIGHT, 0.14, 0.2), hx_fouling_step_3=np.where(FLIGHT == 50, 0.2, 0.0))
     assert [case.diagnosis for case in cases] == names
     assert cases[0].closed_flight == (None if len(names) == 1 else 80)
-
-
-def test_a_case_tells_since_when_the_unit_is_worn():
-    (case,) = fouling(np.where(FLIGHT < 20, 0.05, np.where(FLIGHT < 40, 0.051, 0.2)))
-    assert case.facts["since"] == 20
-    assert case.facts_at(45)["gained"] != case.facts_at(45)["gained"]  # no flight alone says
-    assert fouling(0.2)[0].facts["since"] == 0
 
 
 @pytest.mark.parametrize(

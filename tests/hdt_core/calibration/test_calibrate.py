@@ -38,14 +38,11 @@ def test_conductance_law_is_within_two_per_cent_over_the_envelope(fleet, model):
     assert abs(error.mean()) < 0.04  # five tails: biases of five probes set the level
 
 
-def test_elasticities_are_within_003_and_their_intervals_hold(fleet, model):
+def test_elasticities_are_slopes_of_the_law_within_003_and_intervals_hold(fleet, model):
     estimate, sd = elasticities(model)
     true = flow_elasticities(fleet.design, *model.cruise_flows_kg_s)
     assert np.abs(estimate - true).max() < 0.03
     assert (np.abs(estimate - true) < 3.0 * sd).all()
-
-
-def test_elasticities_are_the_slopes_of_the_law(model):
     hot, ram = model.cruise_flows_kg_s
     at = {"hx_in_k": np.full(3, 400.0), "tat_k": np.full(3, 250.0)}
     step = np.array([-1e-5, 0.0, 1e-5])
@@ -53,9 +50,6 @@ def test_elasticities_are_the_slopes_of_the_law(model):
     along_ram = law(model.design, at | {"pack_flow_kg_s": np.full(3, hot)}, ram * np.exp(step))
     slopes = [(line[2] - line[0]) / 2e-5 for line in (along_hot, along_ram)]
     np.testing.assert_allclose(flow_elasticities(model.design, hot, ram), slopes, rtol=1e-6)
-
-
-def test_design_intervals_hold(fleet, model):
     z = (model.design - fleet.design) / np.sqrt(np.diag(np.array(model.exchanger_cov)))
     assert np.abs(z).max() < 3.5
     assert (np.abs(z) < 1.645).mean() >= 0.75
@@ -84,7 +78,7 @@ def test_drift_audit_names_the_packs_that_wore(fleet, model, flights):
     np.testing.assert_allclose(-worn["unlearned"].to_numpy()[:3], expected, atol=0.03)
 
 
-def test_later_flights_change_nothing_once_the_window_is_full(fleet):
+def test_later_flights_and_the_order_of_rows_change_nothing(fleet):
     small = fleet.only("T-00")
     ids = small.samples["flight_id"].unique().sort()
     first = ids[: MILESTONES[2]].implode()
@@ -94,9 +88,6 @@ def test_later_flights_change_nothing_once_the_window_is_full(fleet):
     ]
     early, later = (calibrate(*part, small.maintenance) for part in (some, more))
     assert later == early
-
-
-def test_version_is_of_the_data_not_of_their_order(fleet):
     small = fleet.only("T-01")
     here = calibrate(small.samples, small.legs, small.maintenance)
     shuffled = small.samples.sample(fraction=1.0, shuffle=True, seed=4)
@@ -125,7 +116,7 @@ def test_tail_of_ten_flights_borrows_from_its_fleet(fleet):
     assert (own["sd"] < 1.6 * whole["sd"].item()).all()
 
 
-def test_every_scope_is_there_and_the_table_honours_its_declaration(model):
+def test_the_table_honours_its_declaration_and_the_model_survives_json(model):
     rows = design_parameters(model)
     assert CalibrationDesign.faults(rows) == []
     assert set(rows["scope"]) == {"fleet", "operator", "tail"}
@@ -135,6 +126,7 @@ def test_every_scope_is_there_and_the_table_honours_its_declaration(model):
     area = named.filter(parameter="cc_inlet_area_m2").row(0, named=True)
     assert not area["identifiable"]
     assert "blade angle of 36 ± 3 degrees" in area["unit"]
+    assert Dsm.from_dict(json.loads(json.dumps(model.to_dict()))) == model
 
 
 def test_how_the_estimate_ended_is_kept(fleet, model, monkeypatch):
@@ -144,19 +136,12 @@ def test_how_the_estimate_ended_is_kept(fleet, model, monkeypatch):
     assert calibrate(fleet.samples, fleet.legs, fleet.maintenance).exchanger_status == "max_steps"
 
 
-def test_model_survives_json(model):
-    assert Dsm.from_dict(json.loads(json.dumps(model.to_dict()))) == model
-
-
-def test_without_a_usable_flight_the_priors_stand(fleet):
+def test_without_a_usable_flight_the_priors_stand_and_legs_turned_away_do_not_calibrate(fleet):
     small = fleet.only("T-00")
     dsm = calibrate(small.samples.clear(), small.legs.clear(), small.maintenance)
     np.testing.assert_allclose(dsm.design, hx.MEAN)
     assert dsm.n_flights == 0
     assert CalibrationDesign.faults(design_parameters(dsm)) == []
-
-
-def test_turned_away_legs_do_not_calibrate(fleet):
     small = fleet.only("T-02")
     sick = small.legs.with_columns(admitted=pl.col("pack") == 2)
     spoiled = replace(small, samples=small.samples.with_columns(
@@ -259,7 +244,7 @@ def audit(ratio: np.ndarray, maintenance: pl.DataFrame | None = None) -> pl.Data
     )
 
 
-def test_a_straight_line_is_its_slope():
+def test_a_straight_line_is_its_slope_and_units_are_audited_apart():
     row = audit(0.05 - 0.001 * np.arange(30)).row(0, named=True)
     assert row["drift_per_100_flights"] == pytest.approx(-0.1)
     assert row["drift_sd"] == pytest.approx(0.0, abs=1e-9)
@@ -268,6 +253,10 @@ def test_a_straight_line_is_its_slope():
     assert row["unlearned"] == pytest.approx(0.020)
     assert row["drifts"]
     assert row["n_flights"] == 30
+    ratio = np.r_[np.zeros(25), np.full(19, 0.1)]
+    entry = log(("T-1", 1, "HX", "REPLACED", 24))
+    assert audit(ratio, entry).select("unit", "n_flights", "drifts").rows() == [(0, 25, False)]
+    assert audit(np.r_[ratio, 0.1], entry)["unit"].to_list() == [0, 1]
 
 
 @pytest.mark.parametrize(("per_100", "drifts"), [(0.0099, False), (0.0101, True), (-0.0101, True)])
@@ -289,10 +278,3 @@ def test_and_three_deviations(times, drifts):
     low, high = slopes[round((780 - half) / 2) - 1], slopes[round((780 + half) / 2)]
     assert bare["drift_sd"] == pytest.approx(50.0 * (high - low))
     assert row["drifts"] == drifts
-
-
-def test_units_are_audited_apart_and_short_ones_not_at_all():
-    ratio = np.r_[np.zeros(25), np.full(19, 0.1)]
-    entry = log(("T-1", 1, "HX", "REPLACED", 24))
-    assert audit(ratio, entry).select("unit", "n_flights", "drifts").rows() == [(0, 25, False)]
-    assert audit(np.r_[ratio, 0.1], entry)["unit"].to_list() == [0, 1]

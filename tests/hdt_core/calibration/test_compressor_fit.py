@@ -37,21 +37,15 @@ def fit(fleet, fleets):
     return fit_compressor(compressor_rows(fleets.group_flow(fleet.samples)))
 
 
-def test_line_is_recovered_with_its_interval(fit, fleets):
+def test_the_line_is_recovered_with_its_interval_and_beats_other_forms_on_flights_left_out(fit, fleets):
     assert abs(fit.slope_m_per_count - fleets.SLOPE_M) < 3.0 * fit.slope_sd_m_per_count
     assert fit.slope_sd_m_per_count < 0.1 * abs(fleets.SLOPE_M)
     assert abs(fit.intercept_m - fleets.INTERCEPT_M) < 3.0 * fit.intercept_sd_m
-
-
-def test_error_on_flights_left_out_is_what_the_scatter_allows(fit, fleets):
     # mean absolute value of a normal error; levels of twenty flights cost one per cent
     allowed = fleets.SCATTER_M * np.sqrt(2.0 / np.pi)
     assert fit.mae_m == pytest.approx(allowed, rel=0.06)
     assert fit.mae_m < 0.0055
     assert fit.scatter_m == pytest.approx(fleets.SCATTER_M, rel=0.06)
-
-
-def test_line_beats_a_constant_and_richer_forms_gain_nothing(fit, fleets):
     constant, linear, *richer = fit.forms
     assert linear.cv_mae_m < 0.97 * constant.cv_mae_m
     assert constant.aic > linear.aic + 10.0
@@ -62,9 +56,6 @@ def test_line_beats_a_constant_and_richer_forms_gain_nothing(fit, fleets):
     # positions uniform over 300 counts: what slope and scatter imply
     explained = fleets.SLOPE_M**2 * 300.0**2 / 12.0
     assert linear.r_squared == pytest.approx(explained / (explained + fleets.SCATTER_M**2), abs=0.02)
-
-
-def test_group_is_recovered_within_half_a_per_cent(fit, fleets):
     assert fit.group_m3 == pytest.approx(fleets.GROUP_M3, rel=0.005)
 
 
@@ -113,13 +104,10 @@ def test_noise_of_the_diffuser_is_not_taken_for_a_flatter_line(fleets):
     assert fit_compressor(frame).slope_m_per_count == pytest.approx(fleets.SLOPE_M, rel=0.02)
 
 
-def test_too_few_records_give_the_papers_line_with_a_wide_band(fleet):
+def test_few_or_no_points_leave_the_papers_line_and_the_prior(fleet):
     few = fit_compressor(compressor_rows(fleet.samples.head(20)))
     assert few.intercept_m == 0.1731
     assert few.intercept_sd_m >= 0.01
-
-
-def test_inlet_keeps_the_group_and_gives_the_prior_back():
     inlet = inlet_geometry(9.1e-4, 1e-6)
     (area, area_sd), (eye, _), angle = (
         inlet[n] for n in ("cc_inlet_area_m2", "cc_eye_diameter_m", "cc_blade_angle_rad")
@@ -184,7 +172,7 @@ def test_a_slow_loss_put_upon_the_records_is_health_and_not_design(fleet, rate):
     assert shift_sd.max() < 0.5
 
 
-def test_more_flights_leave_less_in_doubt(fleet):
+def test_more_flights_leave_less_in_doubt_and_without_points_the_prior_stands(fleet):
     points = points_of(fleet.samples)
     early = points.flight < 20
     few = Points(
@@ -198,9 +186,6 @@ def test_more_flights_leave_less_in_doubt(fleet):
     assert np.linalg.slogdet(large)[1] < np.linalg.slogdet(small)[1] - 1.0
     for cov in (small, large):
         assert (np.diag(cov) <= hx.SD**2 * (1.0 + 1e-9)).all()
-
-
-def test_prior_of_a_pack_without_points_stands_and_is_not_altered(fleet):
     points = points_of(fleet.only("T-00").samples)
     prior, sd = np.full((3, 6), 0.01), np.tile(hx.BIAS_SDS, (3, 1))
     bias = PanelLeastSquares().estimate(exchanger_panel(points, prior, sd))[1]

@@ -219,29 +219,23 @@ def followed(fleet):
     return estimate_flights(fleet.samples, model), model
 
 
-def test_ratio_follows_the_loss_whatever_the_offset(flights, fleet):
+def test_ratio_follows_the_loss_whatever_the_offset_in_tables_as_declared(flights, fleet, model):
     joined = flights.join(fleet.truth, on=["tail", "flight_id", "pack"])
     offset_column = (pl.col("ln_ua_ratio") - (1.0 - pl.col("loss")).log()).alias("offset")
     offset = joined.with_columns(offset_column).group_by("tail", "pack").agg(pl.col("offset").std())
     assert offset["offset"].max() < 0.03
-
-
-def test_declared_tables_are_honoured(flights, model, fleet):
     rows = flights.filter(TwinFlights.flight_id.col.str.len_chars() > 0)
     named = rows.with_columns(operator=pl.lit("TST"))
     assert TwinFlights.faults(named) == []
     assert TwinHealth.faults(track(flights, fleet.maintenance, model).health) == []
 
 
-def test_each_flight_stands_alone(fleet, model, flights):
+def test_each_flight_stands_alone_by_snapshots_and_by_log(fleet, model, flights):
     one = flights["flight_id"][17]
     alone = estimate_flights(fleet.samples.filter(pl.col("flight_id") == one), model)
     among = flights.filter(pl.col("flight_id") == one)
     for column in ("ln_ua_ratio", "ln_ua_ratio_sd", "diameter_m", "effectiveness"):
         np.testing.assert_allclose(alone[column].to_numpy(), among[column].to_numpy(), rtol=1e-12)
-
-
-def test_snapshots_and_continuous_log_are_both_used(fleet, model, flights):
     tail = fleet.samples.filter(pl.col("tail") == "T-00")
     even = pl.int_range(pl.len()).over("flight_id", "pack") % 2 == 0
     logged = tail.with_columns(source=pl.when(even).then(pl.lit("cpl")).otherwise(pl.lit("acms")))
@@ -267,12 +261,22 @@ def test_a_pack_without_a_signal_has_rows_and_no_estimate(fleet, model, column):
     assert (rows["sd"] > 0.04).all()
 
 
-def test_no_cruise_at_all(fleet, model):
+def test_no_cruise_is_no_estimate_and_no_ram_outlet_a_larger_doubt(fleet, model, flights):
     climbing = fleet.only("T-00").samples.with_columns(phase=pl.lit("climb"))
     twin = estimate_flights(climbing, model)
     assert twin["status"].unique().to_list() == ["no_cruise"]
     rows = track(twin, fleet.maintenance, model).health
     assert set(rows["status"]) == {"predicted", "not_recorded", "not_identifiable"}
+    blind = fleet_with_truth(5, 120, ram_out=False)
+    twin, guess = followed(blind)
+    assert twin["ln_ram_ratio"].null_count() == twin.height
+    rows, metered = (
+        track(f, blind.maintenance, m).health.filter(pl.col("parameter") == "hx_fouling")
+        for f, m in ((twin, guess), (flights, model))
+    )
+    assert rows["sd"].mean() > metered["sd"].mean()
+    off = rows.join(blind.truth, on=["tail", "flight_id", "pack"]).with_columns(e=pl.col("value") - pl.col("loss"))
+    assert off.select((pl.col("e").abs() < 1.645 * pl.col("sd")).mean()).item() > 0.75
 
 
 @pytest.mark.parametrize(("tails", "n_flights"), [(1, 30), (1, 3), (2, 1)])
@@ -284,19 +288,6 @@ def test_small_fleets_are_estimated_with_wide_doubt(tails, n_flights):
     assert rows["sd"].min() > 0.015
     off = (rows.join(fleet.truth, on=["tail", "flight_id", "pack"])["value"] - 0.0).abs()
     assert off.max() < 0.2
-
-
-def test_without_ram_outlet_the_scale_is_a_prior_and_the_doubt_is_larger(flights, model):
-    blind = fleet_with_truth(5, 120, ram_out=False)
-    twin, guess = followed(blind)
-    assert twin["ln_ram_ratio"].null_count() == twin.height
-    rows, metered = (
-        track(f, blind.maintenance, m).health.filter(pl.col("parameter") == "hx_fouling")
-        for f, m in ((twin, guess), (flights, model))
-    )
-    assert rows["sd"].mean() > metered["sd"].mean()
-    off = rows.join(blind.truth, on=["tail", "flight_id", "pack"]).with_columns(e=pl.col("value") - pl.col("loss"))
-    assert off.select((pl.col("e").abs() < 1.645 * pl.col("sd")).mean()).item() > 0.75
 
 
 def test_a_wrong_door_shows_between_cruise_and_climb_and_wear_does_not(fleet, model):

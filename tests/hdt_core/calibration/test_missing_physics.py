@@ -64,15 +64,12 @@ def test_nothing_is_proposed_where_nothing_is_missing(fleet, model):
     assert proposals["bic_gain"].max() < 0.0
 
 
-def test_the_missing_term_is_proposed_and_only_it(sprayed, lacking):
+def test_the_missing_term_is_proposed_alone_and_accepting_it_mends_residual_and_coefficient(sprayed, lacking, mended):
     proposals = propose(estimate_flights(sprayed.samples, lacking), lacking)
     assert proposals.filter("proposed")["term"].to_list() == ["water_spray"]
     best = proposals.row(0, named=True)
     assert best["held_out_change"] < -0.3
     assert best["value"] == pytest.approx(SPRAY, abs=4.0 * best["sd"])
-
-
-def test_accepting_it_mends_residual_and_coefficient(sprayed, lacking, mended):
     assert mended.terms["water_spray"] == pytest.approx(SPRAY, abs=0.06)
     before, after = (estimate_flights(sprayed.samples, model) for model in (lacking, mended))
     assert scatter(after) < 0.7 * scatter(before)

@@ -82,13 +82,10 @@ def test_of_an_operator_that_shows_nothing_only_the_fleet_is_known():
     assert pooled.fleet_sd < pooled.operator_sd[2] < pooled.pack_sd[2]
 
 
-def test_nothing_known_is_nan_not_an_error():
+def test_what_shows_nothing_is_nan_or_the_fleets_and_levels_have_names():
     pooled = pool(np.full(3, np.nan), np.ones(3), np.zeros(3, dtype=int))
     assert np.isnan(pooled.fleet)
     assert np.isnan(pooled.pack).all()
-
-
-def test_levels_are_named_by_operator_and_pack():
     packs = pl.DataFrame({
         "operator": ["B", "A", "B"], "tail": ["T1", "T2", "T3"], "pack": [1, 2, 1], "value": [1.0, 1.1, 1.2],
         "error_sd": [0.1, 0.1, 0.1], "n": [10, 20, 5],
@@ -281,15 +278,12 @@ def test_a_fleet_of_hundreds_is_within_the_range_of_numbers():
     assert together == pytest.approx(clean_units(ratios, [0.01] * 300, none), rel=1e-6)
 
 
-def test_few_flights_keep_the_scatter_and_a_calm_record_has_a_least_one():
+def test_few_flights_keep_the_scatter_and_nothing_seen_changes_nothing():
     few = flights(15, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
     assert fleet_levels(few, log(), DSM).flight_sd == pytest.approx(np.sqrt(0.015**2 - 0.004**2))
     calm = flights(21, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
     assert fleet_levels(calm, log(), DSM).flight_sd == 0.005
     assert fleet_levels(calm.head(20), log(), DSM).flight_sd > 0.01
-
-
-def test_nothing_seen_changes_nothing():
     none = flights(3, ln_ua_ratio=pl.Series([None] * 3, dtype=pl.Float64).to_list(), ln_ua_ratio_sd=0.1)
     assert fleet_levels(none.cast({"ln_ua_ratio": pl.Float64}), log(), DSM) == DSM
     assert replace(DSM) == DSM

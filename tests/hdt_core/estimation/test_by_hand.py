@@ -103,13 +103,10 @@ def test_figures_of_a_fit_with_hardly_a_degree_of_freedom(n, factor):
     assert (silent.aic, silent.bic, silent.verdict) == (4.0, 0.0, "untested")
 
 
-def test_a_filters_fit_is_its_innovations_alone():
+def test_a_filters_fit_is_its_innovations_alone_and_a_plot_bands_two_sigmas():
     fit = ExtendedKalman().estimate(line(drift=np.array([0.1, 0.1]))).fit
     assert (fit.n_values, fit.n_free, fit.degrees) == (12, 0, 12)
     assert fit.scaled_sd.shape == fit.sandwich_sd.shape == (0,)
-
-
-def test_a_plot_has_a_band_of_two_sigmas_about_nothing():
     figure = Figure()
     axes = figure.add_subplot()
     NonlinearLeastSquares().estimate(line()).plot(axes)
@@ -317,16 +314,13 @@ def test_drift_and_process_noise_are_variances():
     np.testing.assert_array_equal(fixed.cov, np.diag([0.0, 1.0]))
 
 
-def test_a_belief_beyond_a_bound_is_met_there_and_drags_the_others_along():
+def test_a_belief_is_met_at_a_bound_and_drags_the_others_along():
     belief = Belief(np.array([1.5, 0.0]), np.array([[1.0, 0.5], [0.5, 1.0]]))
     np.testing.assert_allclose(project_on_bounds(belief, np.array([-1.0, -1.0]), np.array([1.0, 1.0])), [1.0, -0.25])
     np.testing.assert_allclose(project_on_bounds(belief, np.array([-2.0, -1.0]), np.array([2.0, 1.0])), [1.5, 0.0])
     for sign in (1.0, -1.0):  # one that lies on its bound is free to leave it
         edge = Belief(sign * np.array([1.5, 1.0]), belief.cov)
         np.testing.assert_allclose(project_on_bounds(edge, -np.ones(2), np.ones(2)), sign * np.array([1.0, 0.75]))
-
-
-def test_a_belief_by_hand():
     belief = Belief(np.array([1.0, 2.0]), np.diag([4.0, 9.0]))
     np.testing.assert_allclose(belief.interval()[:, 1] - belief.mean, [1.644854 * 2.0, 1.644854 * 3.0], rtol=1e-6)
     np.testing.assert_allclose(belief.interval(0.95), [[1.0 - 3.92, 1.0 + 3.92], [2.0 - 5.88, 2.0 + 5.88]], atol=1e-3)

@@ -131,15 +131,12 @@ def test_a_descent_step_by_step(start, most):
     assert descend(decay(start), np.array(start), most, 7).n_evals == evals + 7
 
 
-def test_a_descent_ends_after_two_hundred_steps(monkeypatch):
+def test_a_descent_ends_after_two_hundred_steps_and_stays_where_there_is_no_answer(monkeypatch):
     monkeypatch.setattr(descent, "damped_step", lambda *_: (np.array([-1.0]), 1e3))
     one = Problem(("x",), np.array([[-9e9, 9e9]]), unknown(np.zeros(1)), np.zeros((1, 1)), np.ones(1),
                   lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
     point = descend(one, np.array([1000.0]))
     assert (point.theta.tolist(), point.n_evals) == ([800.0], 3 + 200 * 4)
-
-
-def test_a_descent_from_where_there_is_no_answer_stays():
     point = descend(decay((1.0, -1000.0)), np.array([1.0, -1000.0]), n_evals=3)
     assert (point.objective, point.n_evals, point.theta.tolist()) == (np.inf, 3 + 5, [1.0, -1000.0])
     assert conclude_at(decay((1.0, -1000.0)), point).status == "diverged"

@@ -133,35 +133,23 @@ def test_what_stands_still_is_the_last_belief(monkeypatch, drift):
     np.testing.assert_allclose(moves[0][1], linear.belief.cov, rtol=1e-6)
 
 
-def test_the_point_of_a_pass_is_its_last_inside_the_bounds():
+def test_a_filter_ends_inside_its_bounds_with_the_cost_of_a_lost_pass():
     means, covs = np.array([[0.0, 1.0], [2.0, 3.0], [60.0, 0.0]]), np.array([np.eye(2), 9.0 * np.eye(2), np.eye(2)])
     covs[2, 0, 1] = covs[2, 1, 0] = 0.5
     np.testing.assert_allclose(_point(line(), FilterPass(means, covs, [], [])), [50.0, -5.0])
-
-
-def test_a_filter_that_loses_track_has_cost_a_pass():
     broken = line(observe=lambda _x, theta, i: np.where(np.asarray(i) == 7, np.nan, theta[0] + theta[1] * X[i])[None])
     for estimator in (ExtendedKalman(), UnscentedKalman()):
         estimate = estimator.estimate(broken)
         assert (estimate.status, estimate.n_evals) == ("diverged", 5)
-
-
-def test_a_line_search_moves_the_last_belief_alone():
     filtered = forward(square(), tangent)
     np.testing.assert_array_equal(_with_last_mean(square(), filtered, np.array([7.0])).means,
                                   [*filtered.means[:2], [7.0]])  # fmt: skip
-
-
-def test_an_estimate_stands_still_below_a_ten_thousandth_of_its_deviation():
     cov = np.diag([9.0, 4.0, 0.0])
     assert _stands_still(np.array([0.99e-4 * 2.0, 0.0]), cov)
     assert not _stands_still(np.array([1.01e-4 * 2.0, 0.0]), cov)
     assert not _stands_still(np.array([0.0, 1.1e-15]), cov)
     assert _stands_still(np.array([0.0, 0.9e-15]), cov)
     assert _stands_still(np.zeros(0), cov)
-
-
-def test_innovations_are_standardised_by_the_root_of_their_precision():
     precision, error = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([0.3, -0.7])
     whole = Correction(np.eye(2), np.eye(2), precision, error, np.eye(2))
     half = Correction(np.eye(1, 2), np.eye(2, 1), precision[1:, 1:], error[1:], np.eye(1))
@@ -247,14 +235,11 @@ def test_tangent_is_one_sided_on_a_bound_and_knows_no_spread():
     np.testing.assert_allclose(ends[0][:, 8:] - ends[0][:, 4:8], np.diag(size), rtol=1e-8, atol=1e-15)
 
 
-def test_a_trajectory_is_known_exactly():
+def test_a_trajectory_is_known_exactly_and_a_report_that_is_not_finite_is_lost():
     walk = replace(square(), transition=lambda x, t, _i: x + t[0], start=Belief(np.array([2.0]), np.array([[1.0]])))
     beliefs = trajectory(walk, np.array([0.5]))
     np.testing.assert_allclose([b.mean for b in beliefs], [[2.0, 0.5], [2.5, 0.5], [3.0, 0.5]])
     assert not any(b.cov.any() for b in beliefs)
-
-
-def test_a_report_that_is_not_finite_is_lost():
     for belief in (Belief(np.array([np.nan, 0.0]), np.eye(2)), Belief(np.zeros(2), np.diag([np.inf, 1.0]))):
         result = report(line(), belief, "converged", 7, path=np.zeros((12, 2)), path_sd=np.ones((12, 2)), method="m")
         assert (result.status, result.n_evals, result.method) == ("diverged", 7, "m")

@@ -29,9 +29,21 @@ def line(noise=1.0, bend=0.0, seed=1, sigma=0.1):
     )
 
 
-def test_a_sigma_that_fits_leaves_the_bound_of_cramer_and_rao():
+def test_a_sigma_that_fits_leaves_the_bound_of_cramer_and_rao_and_what_lmfit_prints():
     sound = NonlinearLeastSquares().estimate(line())
     np.testing.assert_allclose(sound.belief.sd, sound.identifiability.bound_sd, rtol=1e-9)
+    estimate = NonlinearLeastSquares().estimate(line())
+    text = estimate.summary()
+    for word in ("nls", "converged", "chi-square", "reduced chi-square", "Akaike", "Bayesian", "model evaluations"):
+        assert word in text
+    assert "slope" in text
+    assert "(init 0)" in text
+    assert "C(slope, offset) = -0.86" in text  # of the design alone: -mean(x) / rms(x)
+    there = pickle.loads(pickle.dumps(estimate))
+    np.testing.assert_array_equal(there.fit.residuals, estimate.fit.residuals)
+    assert "chi-square" in there.summary()
+    verdicts = [NonlinearLeastSquares().estimate(line(seed=seed)).fit.verdict for seed in range(400)]
+    assert verdicts.count("adequate") >= 396  # 400 records, 2 in 1,000 each
 
 
 def test_beside_a_held_parameter_the_interval_follows_the_record_too():
@@ -46,28 +58,6 @@ def test_beside_a_held_parameter_the_interval_follows_the_record_too():
     np.testing.assert_allclose(sd, scatter / np.linalg.norm(X), rtol=1e-6)
     assert {e.belief.sd[1] for e in estimates} == {0.0}
     assert np.mean(np.abs(slope - 2.0) < 1.645 * sd) == pytest.approx(0.9, abs=0.065)
-
-
-def test_false_alarms_are_as_rare_as_declared():
-    verdicts = [NonlinearLeastSquares().estimate(line(seed=seed)).fit.verdict for seed in range(400)]
-    assert verdicts.count("adequate") >= 396  # 400 records, 2 in 1,000 each
-
-
-def test_the_summary_holds_what_lmfit_prints():
-    estimate = NonlinearLeastSquares().estimate(line())
-    text = estimate.summary()
-    for word in ("nls", "converged", "chi-square", "reduced chi-square", "Akaike", "Bayesian", "model evaluations"):
-        assert word in text
-    assert "slope" in text
-    assert "(init 0)" in text
-    assert "C(slope, offset) = -0.86" in text  # of the design alone: -mean(x) / rms(x)
-
-
-def test_an_estimate_travels_with_its_residuals():
-    estimate = NonlinearLeastSquares().estimate(line())
-    there = pickle.loads(pickle.dumps(estimate))
-    np.testing.assert_array_equal(there.fit.residuals, estimate.fit.residuals)
-    assert "chi-square" in there.summary()
 
 
 def test_residuals_of_a_filter_that_follows_are_its_innovations():
@@ -92,7 +82,7 @@ def test_residuals_of_a_filter_that_follows_are_its_innovations():
     assert rigid.fit.verdict == "lack_of_fit"
 
 
-def test_only_the_product_is_identifiable():
+def test_only_the_product_is_identifiable_unless_a_prior_closes_the_open_direction():
     problem = compressor()
     information = fisher(problem, np.array([AREA_M2, DIAMETER_M, BETA_RAD]))
     assert not information.identifiable
@@ -102,9 +92,6 @@ def test_only_the_product_is_identifiable():
     assert estimate.status == "not_identifiable"
     product = estimate.belief.mean[0] * estimate.belief.mean[1] * np.tan(estimate.belief.mean[2])
     assert product == pytest.approx(AREA_M2 * DIAMETER_M * np.tan(BETA_RAD), rel=0.02)
-
-
-def test_a_prior_that_closes_the_open_directions_makes_it_an_estimate():
     sd = np.array([0.001, 0.01, np.deg2rad(2.0)])
     estimate = NonlinearLeastSquares().estimate(compressor(Belief(np.array([0.0098, 0.11, 0.63]), np.diag(sd**2))))
     assert estimate.status == "converged"

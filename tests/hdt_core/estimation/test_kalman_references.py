@@ -199,7 +199,7 @@ def test_unscented_filter_equals_that_of_filterpy_on_the_oscillator():
         peer.predict()
 
 
-def test_a_covariance_without_a_root_gets_one():
+def test_a_covariance_without_a_root_gets_one_and_nothing_known_is_a_start_like_any_other():
     indefinite = np.array([[1.0, 1.0 + 1e-9], [1.0 + 1e-9, 1.0]])
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.cholesky(indefinite)
@@ -208,6 +208,11 @@ def test_a_covariance_without_a_root_gets_one():
     root_of_zero = upper_root(np.diag([0.0, 4.0]))
     assert (np.diag(root_of_zero) > 0.0).all()
     np.testing.assert_allclose(root_of_zero.T @ root_of_zero, np.diag([0.0, 4.0]), atol=1e-9)
+    _, problem = regression_problem()
+    flat = problem.with_prior(unknown(np.zeros(2)))
+    for estimator in (ExtendedKalman(), UnscentedKalman()):
+        estimate = estimator.estimate(flat)
+        np.testing.assert_allclose(estimate.belief.mean, [1.5, -0.7], atol=0.1)
 
 
 @pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)
@@ -226,11 +231,3 @@ def test_filters_survive_noise_so_small_that_covariances_lose_their_sign(estimat
     assert np.isfinite(estimate.belief.mean).all()
     assert np.isfinite(estimate.belief.cov).all()
     assert (np.linalg.eigvalsh(estimate.belief.cov) >= -1e-12).all()
-
-
-def test_nothing_known_of_a_parameter_is_a_start_like_any_other():
-    _, problem = regression_problem()
-    flat = problem.with_prior(unknown(np.zeros(2)))
-    for estimator in (ExtendedKalman(), UnscentedKalman()):
-        estimate = estimator.estimate(flat)
-        np.testing.assert_allclose(estimate.belief.mean, [1.5, -0.7], atol=0.1)

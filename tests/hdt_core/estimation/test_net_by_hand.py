@@ -77,7 +77,7 @@ def test_a_nets_states_and_its_loss_by_hand():
     np.testing.assert_allclose(by_theta, [[[6.0, 12.0]]], rtol=1e-6)
 
 
-def test_a_nets_first_weights_are_the_simulation_and_turn_all_along_the_record():
+def test_a_nets_first_weights_are_the_simulation_and_its_covariance_by_hand():
     guess = np.column_stack([np.cos(np.linspace(0.0, 6.0, 80)), 3.0 * np.sin(np.linspace(0.0, 6.0, 80))])
     layout = _lay_out(guess, 30)
     np.testing.assert_allclose(layout.size, [1.0, 3.0], rtol=2e-3)
@@ -89,9 +89,6 @@ def test_a_nets_first_weights_are_the_simulation_and_turn_all_along_the_record()
     assert 5 < (slope > 0).sum() < 25
     np.testing.assert_allclose(-shift / slope, np.linspace(-0.05, 1.05, 30), atol=1e-12)
     np.testing.assert_allclose(_states(first, layout)[0].T, guess, atol=0.03)
-
-
-def test_covariance_of_the_parameters_of_a_net():
     normal = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 2.0], [0.5, 2.0, 3.0]])
     np.testing.assert_allclose(_cov_of_last(normal, 2), np.linalg.inv(normal)[1:, 1:], rtol=1e-9)
     blind = np.zeros((3, 3))

@@ -138,9 +138,12 @@ def test_steps_end_from_the_seventh_on_where_the_design_stands_still(sure):
     np.testing.assert_array_equal(whole.belief.mean, designs[-1])
 
 
-def test_a_step_is_a_half_at_most():
+def test_a_step_is_a_half_at_most_and_derivatives_go_downwards_below_a_bound():
     far = PanelLeastSquares(max_steps=1).estimate(panel(prior=Belief(np.full(P, 4.0), 1e9 * np.eye(P))))[0]
     np.testing.assert_array_equal(far.belief.mean, 3.5)
+    slopes = forward_differences(lambda x: np.array([x[0] ** 2, x @ x]), np.ones(2), np.array([1.0, 2.0]),
+                                 np.full(2, 0.5), np.array([1.5, 1.4]))  # fmt: skip
+    np.testing.assert_allclose(slopes, [[2.5, 0.0], [2.5, 1.5]])
 
 
 @pytest.mark.parametrize("limits", [(-9.0, 0.05), (0.5, 9.0)])
@@ -161,7 +164,7 @@ def test_a_bound_holds_a_parameter_and_the_others_follow(limits):
     np.testing.assert_allclose(estimate.belief.cov[:2, :2], np.linalg.inv(held), rtol=1e-6)
 
 
-def test_what_neither_rows_nor_prior_show_is_not_identifiable():
+def test_what_neither_rows_nor_prior_show_stays_open_and_without_rows_the_priors_stand():
     blind = equation(np.random.default_rng(3), 0.03, 2.0)
     no_third = Equation(lambda d, u: blind.residual(np.r_[d[:2], 0.0], u), 0.03, 2.0)
     prior = Belief(np.zeros(P), np.diag([1.0, 1.0, np.inf]))
@@ -170,9 +173,6 @@ def test_what_neither_rows_nor_prior_show_is_not_identifiable():
     assert np.isinf(estimate.belief.sd).tolist() == [False, False, True]
     assert estimate.belief.mean[2] == 0.0
     assert not estimate.identifiability.identifiable
-
-
-def test_without_rows_the_priors_stand_and_one_row_is_a_panel():
     none = slice(0, 0)
     empty = panel(unit=UNIT[none], time=TIME[none])
     estimate, units = PanelLeastSquares().estimate(empty)
@@ -186,9 +186,3 @@ def test_without_rows_the_priors_stand_and_one_row_is_a_panel():
     gain = one.prior.cov[:, 0] / (one.prior.cov[0, 0] + variance)
     np.testing.assert_allclose(estimate.belief.mean, -gain * (0.4 + one.unit_mean[0, 0]), rtol=1e-6)
     np.testing.assert_array_equal(units[1:], one.unit_mean[1:])
-
-
-def test_derivatives_are_taken_downwards_below_a_bound():
-    slopes = forward_differences(lambda x: np.array([x[0] ** 2, x @ x]), np.ones(2), np.array([1.0, 2.0]),
-                                 np.full(2, 0.5), np.array([1.5, 1.4]))  # fmt: skip
-    np.testing.assert_allclose(slopes, [[2.5, 0.0], [2.5, 1.5]])

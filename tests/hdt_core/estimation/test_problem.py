@@ -27,7 +27,7 @@ def line(measured=None, prior=None, **more):
     )
 
 
-def test_one_point_and_a_swarm_are_simulated_alike():
+def test_one_point_and_a_swarm_are_simulated_alike_and_half_a_record_is_the_others_prior():
     problem = line()
     thetas = np.random.default_rng(0).normal(size=(4, 2))
     many = problem.simulate(thetas)
@@ -35,9 +35,6 @@ def test_one_point_and_a_swarm_are_simulated_alike():
     for row, outputs in zip(thetas, many, strict=True):
         np.testing.assert_array_equal(problem.simulate(row), outputs)
     np.testing.assert_allclose(problem.chi2(thetas), [np.sum(problem.residual(row) ** 2) for row in thetas])
-
-
-def test_posterior_of_one_half_is_the_prior_of_the_other():
     whole = line()
     parts = []
     for half in (slice(0, 20), slice(20, 40)):
@@ -151,13 +148,17 @@ def test_a_batch_is_its_problems_one_by_one(more, open_ones):
     assert [b for b, e in enumerate(together) if e.status == "weakly_identifiable"] == open_ones
 
 
-def test_where_the_model_fails_only_that_problem_diverges():
+def test_where_the_model_fails_only_that_problem_diverges_and_a_batch_has_no_states():
     batch = decays(
         observe=lambda _x, theta, i: np.where(GROUP[i] == 2, np.nan, theta[0] * np.exp(-theta[1] * TIME[i]))[None]
     )
     statuses = [e.status for e in estimate_each(NonlinearLeastSquares(), batch)]
     assert [b for b, status in enumerate(statuses) if status == "diverged"] == [2]
     assert statuses[:2] == ["converged"] * 2
+    with pytest.raises(ValueError, match="without states"):
+        decays(transition=lambda x, _t, _i: x)
+    with pytest.raises(ValueError, match="every sample"):
+        decays(group=GROUP[:-1])
 
 
 def test_a_method_without_a_batch_goes_one_by_one_from_the_last_that_converged():
@@ -194,10 +195,3 @@ def test_reweighted_steps_are_hubers_location():
             centre = (weight * own).sum() / weight.sum()  # noqa: PLW2901
         np.testing.assert_allclose(theta[b, 0], centre, rtol=1e-9)
         np.testing.assert_allclose(cov[b, 0, 0], sd**2 / weight.sum(), rtol=1e-6)
-
-
-def test_a_batch_has_no_states_and_every_sample_a_problem():
-    with pytest.raises(ValueError, match="without states"):
-        decays(transition=lambda x, _t, _i: x)
-    with pytest.raises(ValueError, match="every sample"):
-        decays(group=GROUP[:-1])

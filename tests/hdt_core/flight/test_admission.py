@@ -34,29 +34,25 @@ def admitted(fleet, level_one):
     return admit_fleet(*level_one, fleet.maintenance, fleet.messages)
 
 
-def test_no_leg_is_lost_and_every_reason_is_declared(level_one, admitted):
+def test_no_leg_is_lost_first_verdicts_stand_and_sick_flights_stay_out(level_one, admitted, fleet):
     assert admitted.select(LEG).equals(level_one[0].select(LEG))
     assert set(admitted["reason"]) <= {"", *REASONS, *SECOND_LEVEL}
     assert (admitted["admitted"] == (admitted["reason"] == "")).all()
     assert admitted.columns == level_one[0].columns
-
-
-def test_first_verdicts_stand(level_one, admitted):
     turned = level_one[0].with_row_index().filter(pl.col("reason") != "")
     assert admitted["reason"].gather(turned["index"]).to_list() == turned["reason"].to_list()
-
-
-def test_nominal_flights_are_admitted_and_sick_ones_are_not(fleet, admitted):
     arrived = fleet.truth.filter("arrived").join(admitted.select(*KEY, "admitted"), on=KEY, how="left")
     assert arrived.filter("nominal")["admitted"].mean() >= 0.82
     assert arrived.filter("admitted")["contaminant"].mean() <= 0.05
-
-
-def test_twin_that_reports_wear_turns_the_leg_away(fleet, level_one, admitted):
     worn = admitted.filter("admitted").head(3)
     wear = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.3), sd=pl.lit(0.02))
     again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, wear)
     assert again.join(worn.select(LEG), on=LEG, how="semi")["reason"].to_list() == ["HX_WORN"] * 3
+    worn = admitted.filter(pl.col("reason") == "HX_WORN")
+    wear = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.02), sd=pl.lit(0.02))
+    again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, wear)
+    assert worn.height > 20
+    assert set(again.join(worn.select(LEG), on=LEG, how="semi")["reason"]) <= {"", "OUTLIER"}
 
 
 def _planted(samples: pl.DataFrame, legs: pl.DataFrame, column: str, change: pl.Expr, mine: pl.Expr) -> pl.DataFrame:
@@ -81,14 +77,6 @@ def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
     assert hit["sensor_shift"].mean() >= 0.9
     other = checks.filter(span & (pl.col("pack") == 2))
     assert other["sensor_shift"].mean() <= before.filter(span & (pl.col("pack") == 2))["sensor_shift"].mean() + 0.1
-
-
-def test_twin_that_finds_the_exchanger_sound_is_believed_over_the_index(fleet, level_one, admitted):
-    worn = admitted.filter(pl.col("reason") == "HX_WORN")
-    wear = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.02), sd=pl.lit(0.02))
-    again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, wear)
-    assert worn.height > 20
-    assert set(again.join(worn.select(LEG), on=LEG, how="semi")["reason"]) <= {"", "OUTLIER"}
 
 
 def _apart(legs: pl.DataFrame, column: str, slope: float, mine: pl.Expr) -> pl.DataFrame:
@@ -134,7 +122,7 @@ def test_ice_that_comes_and_goes_makes_a_leg_restless(level_one, ice_k):
     assert (both["index_unrest_iced"] > 6.5).mean() >= 0.8
 
 
-def test_index_falls_with_true_loss(fleet, level_one):
+def test_the_index_falls_with_true_loss_and_is_null_without_samples(fleet, level_one):
     legs, samples = level_one
     level = leg_conductance(samples, learn_manifold(samples, legs)).join(fleet.truth, on=KEY)
     sound = level.filter(~pl.col("icing") & ~pl.col("door_fault") & (pl.col("sensor_fault") == ""))
@@ -142,12 +130,12 @@ def test_index_falls_with_true_loss(fleet, level_one):
         (pl.col(c) - pl.col(c).median().over("tail", "pack")).alias(c) for c in ("index_level", "apparent_ua_ratio")
     )
     assert np.corrcoef(change.to_numpy().T)[0, 1] > 0.8
-
-
-def test_without_samples_the_index_is_null_not_an_error(level_one):
-    legs, samples = level_one
     few = samples.head(3)
     assert add_conductance_index(few, learn_manifold(few, legs))["conductance_index"].null_count() == 3
+    norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
+    some = samples.filter(pl.col("flight_id").is_in(legs["flight_id"].unique().sort().gather_every(7).implode()))
+    whole, part = (leg_indicators(s, norm).sort(LEG) for s in (samples, some))
+    assert part.equals(whole.join(part.select(LEG), on=LEG, how="semi").sort(LEG))
 
 
 @pytest.mark.parametrize("share", [0.02, 0.10, 0.25])
@@ -172,14 +160,6 @@ def test_a_norm_is_kept_as_text_and_judges_each_tail_alone(fleet, level_one, adm
         signs = leg_indicators(samples.filter(tail=tail), norm)
         alone = admit(norm, own, signs, fleet.maintenance, fleet.messages)
         assert alone.equals(admitted.filter(tail=tail).select(alone.columns))
-
-
-def test_signs_of_a_leg_are_its_own(fleet, level_one):
-    legs, samples = level_one
-    norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
-    some = samples.filter(pl.col("flight_id").is_in(legs["flight_id"].unique().sort().gather_every(7).implode()))
-    whole, part = (leg_indicators(s, norm).sort(LEG) for s in (samples, some))
-    assert part.equals(whole.join(part.select(LEG), on=LEG, how="semi").sort(LEG))
 
 
 N = 30
@@ -224,16 +204,13 @@ def test_a_loss_is_below_its_limit_with_probability_95_per_cent(parameter, value
     assert set(result["n_nominal"]) == {0 if reason else 9}
 
 
-def test_the_exchanger_speaks_first_and_the_twin_over_the_index():
+def test_the_exchanger_speaks_first_and_an_earlier_reason_stays():
     both = pl.concat([losses("cc_efficiency_loss", 0.3, 0.0), losses("hx_fouling", 0.3, 0.0)])
     assert set(verdicts(health=both)["reason"]) == {"HX_WORN"}
     low = {"index_level": [0.0] * 20 + [-0.2] * 10}
     assert verdicts(**low)["reason"].to_list() == [""] * 20 + ["HX_WORN"] * 10
     assert set(verdicts(health=losses("hx_fouling", 0.0, 0.0), **low)["reason"]) == {""}
     assert verdicts(health=losses("cc_efficiency_loss", 0.0, 0.0), **low)["reason"].to_list()[-1] == "HX_WORN"
-
-
-def test_an_earlier_reason_stays_and_rules_come_in_order():
     legs = LEGS.with_columns(reason=pl.when(pl.col("flight_number") == 3).then(pl.lit("ICING")).otherwise(pl.lit("")))
     result = verdicts(legs, index_unrest=[7.0] * N, index_level=[0.3 * (k == 5) for k in range(N)])
     assert result["reason"].to_list() == ["ICING" if k == 3 else "UNREST" for k in range(N)]

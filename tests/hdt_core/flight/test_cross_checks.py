@@ -135,16 +135,13 @@ def test_one_flight_of_a_scattered_check_is_off_by_four_deviations(times, shifte
     assert rows["sensor_shift"][30] is shifted
 
 
-def test_a_drift_is_turned_away_from_where_it_left_its_level():
+def test_of_two_packs_the_one_off_the_fleets_law_drifts_from_where_it_left_its_level():
     drift = np.clip(FLIGHT - 30, 0, 20) * 0.1 * 0.8
     rows = checked("inlet_minus_tat_k", np.where(FLIGHT < 50, drift, 0.0))
     first = rows.filter("sensor_shift")["flight_number"].min()
     # a quarter of the tolerance of .8 K: .2 K after 2.5 flights
     assert first == 33
     assert rows["sensor_shift"][49]
-
-
-def test_of_two_packs_the_one_off_the_fleets_law_is_to_blame():
     late = 2.0 * (FLIGHT >= 40)
     law = {"outlet_above_law_k": late}
     rows = checked("outlet_between_packs_k", late, -late, **law)

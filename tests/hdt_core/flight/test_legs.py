@@ -29,35 +29,39 @@ def legs_and_samples(one_tail, no_log):
     return judge_legs(one_tail, *no_log)
 
 
-def test_every_flight_and_pack_is_judged_once_with_a_known_reason(one_tail, legs_and_samples):
+def test_every_flight_and_pack_is_judged_once_and_nominal_samples_are_of_admitted_legs(one_tail, legs_and_samples):
     legs, _ = legs_and_samples
     assert legs.select(LEG).sort(LEG).equals(one_tail.select(LEG).unique().sort(LEG))
     assert set(legs["reason"]) <= {"", *REASONS}
     assert (legs["admitted"] == (legs["reason"] == "")).all()
-
-
-def test_nominal_samples_are_monitored_samples_of_admitted_legs(legs_and_samples):
     legs, samples = legs_and_samples
     nominal = samples.filter("nominal").join(legs.select(*LEG, "admitted"), on=LEG)
     assert nominal["monitored"].all()
     assert nominal["admitted"].all()
     assert set(nominal["phase"]) == {"cruise"}
     assert nominal.height > 100
+    both = legs.filter(pl.col("source") == "both")
+    assert both.height > 0
+    averaged = samples.filter(pl.col("source") == "cpl")
+    assert averaged["n_averaged"].is_between(45, 60).all()
+    assert averaged["monitored"].any()
+    assert (samples.filter(pl.col("source") == "acms")["n_averaged"] == 1).all()
 
 
-def test_order_and_repetition_of_rows_change_nothing(one_tail, no_log, legs_and_samples):
+def test_order_repetition_and_other_flights_change_no_verdict(one_tail, no_log, legs_and_samples):
     shuffled = pl.concat([one_tail, one_tail.head(500)]).sample(fraction=1.0, shuffle=True, seed=5)
     legs, samples = judge_legs(shuffled, *no_log)
     assert legs.equals(legs_and_samples[0])
     assert samples.height == legs_and_samples[1].height
-
-
-def test_verdict_on_a_flight_does_not_depend_on_the_others(one_tail, no_log, legs_and_samples):
     flight = one_tail["flight_id"].unique().sort()[20]
     alone, _ = judge_legs(one_tail.filter(pl.col("flight_id") == flight), *no_log)
     among = legs_and_samples[0].filter(pl.col("flight_id") == flight)
     same = ["n_samples", "n_nominal", "departed_at", "reason"]
     assert alone.select(same).equals(among.select(same))
+    legs, samples = judge_legs(one_tail.clear(), *no_log)
+    assert legs.is_empty()
+    assert samples.is_empty()
+    assert {"admitted", "reason", "n_nominal", "cruise_minutes"} <= set(legs.columns)
 
 
 def test_log_and_messages_move_the_verdict_but_never_what_is_monitored(fleet):
@@ -66,16 +70,6 @@ def test_log_and_messages_move_the_verdict_but_never_what_is_monitored(fleet):
     assert quiet[1]["monitored"].equals(logged[1]["monitored"])
     assert logged[0]["admitted"].sum() < quiet[0]["admitted"].sum()
     assert {"MAINTENANCE", "MESSAGE"} <= set(logged[0]["reason"])
-
-
-def test_log_of_one_hertz_becomes_averaged_minutes_beside_the_snapshots(legs_and_samples):
-    legs, samples = legs_and_samples
-    both = legs.filter(pl.col("source") == "both")
-    assert both.height > 0
-    averaged = samples.filter(pl.col("source") == "cpl")
-    assert averaged["n_averaged"].is_between(45, 60).all()
-    assert averaged["monitored"].any()
-    assert (samples.filter(pl.col("source") == "acms")["n_averaged"] == 1).all()
 
 
 def _altered(rows: pl.DataFrame, pack: int, **new: pl.Expr) -> pl.DataFrame:
@@ -104,13 +98,6 @@ def test_planted_fault_is_given_its_reason(one_tail, no_log, legs_and_samples, n
     legs, _ = judge_legs(pl.concat([rest, sick]), *no_log)
     mine = legs.filter((pl.col("flight_id") == flight) & (pl.col("pack") == 2))
     assert mine["reason"].to_list() == [reason]
-
-
-def test_nothing_in_nothing_out(one_tail, no_log):
-    legs, samples = judge_legs(one_tail.clear(), *no_log)
-    assert legs.is_empty()
-    assert samples.is_empty()
-    assert {"admitted", "reason", "n_nominal", "cruise_minutes"} <= set(legs.columns)
 
 
 TEXT = dict.fromkeys(("operator", "tail", "component", "action", "code"), pl.String)
@@ -146,13 +133,25 @@ def some(value: float, n: int, rest: float, rows: int = 12) -> list[float]:
     return [value] * n + [rest] * (rows - n)
 
 
-def test_a_sound_cruise_is_admitted_with_its_figures():
+def test_a_sound_cruise_is_admitted_with_its_figures_from_two_nominal_samples_on():
     legs, samples = judge_legs(leg(), *NO_LOG)
     row = legs.row(0, named=True)
     assert (row["reason"], row["admitted"], row["source"]) == ("", True, "acms")
     assert (row["n_samples"], row["n_snapshots"], row["n_monitored"], row["n_nominal"]) == (12, 12, 12, 12)
     assert row["cruise_minutes"] == 33.0
     assert samples["nominal"].all()
+    for left, reason in ((2, ""), (1, "ICING")):
+        assert reasons(leg(altitude_m=6000.0, tat_k=some(270.0, 12 - left, 250.0))) == [reason]
+    for steady, reason in ((2, "NO_CRUISE"), (3, "")):
+        height = [9000.0 + 200.0 * k for k in range(12 - steady)] + [11_500.0] * steady
+        pa = {name: [42_000.0 - 700.0 * k for k in range(12)] for name in ("total_pressure_pa", "cc_in_pa")}
+        assert reasons(leg(altitude_m=height, **pa)) == [reason]
+    twice = pl.concat([leg(), leg()])
+    assert prepare_samples(twice).height == 12
+    assert prepare_samples(pl.concat([leg(rows=1), leg(2, rows=1)])).height == 2
+    holed = prepare_samples(leg(hx_out_k=[None] + [296.0] * 11))
+    assert holed["monitored"].to_list() == [False] + [True] * 11
+    assert prepare_samples(leg(vda_counts=None))["monitored"].all()
 
 
 @pytest.mark.parametrize(("flow", "reason"), [(0.1999, "PACK_OFF"), (0.2, "NO_CRUISE"), (0.21, "")])
@@ -181,15 +180,6 @@ def test_icing_is_wet_cold_air_below_22000_feet(tat_k, altitude_m, icing):
     assert codes == ["ICING" if icing else ""]
 
 
-def test_two_nominal_samples_make_a_leg():
-    for left, reason in ((2, ""), (1, "ICING")):
-        assert reasons(leg(altitude_m=6000.0, tat_k=some(270.0, 12 - left, 250.0))) == [reason]
-    for steady, reason in ((2, "NO_CRUISE"), (3, "")):
-        height = [9000.0 + 200.0 * k for k in range(12 - steady)] + [11_500.0] * steady
-        pa = {name: [42_000.0 - 700.0 * k for k in range(12)] for name in ("total_pressure_pa", "cc_in_pa")}
-        assert reasons(leg(altitude_m=height, **pa)) == [reason]
-
-
 @pytest.mark.parametrize(
     ("span", "rise_m", "rows", "still"),
     [
@@ -202,15 +192,6 @@ def test_a_door_that_follows_no_climb_is_jammed(span, rise_m, rows, still):
     height = [11_000.0 - rise_m, 11_000.0 - rise_m / 2.0] + [11_000.0] * (rows - 2)
     pa = {name: [60_000.0, 47_000.0] + [FLOWN[name]] * (rows - 2) for name in ("total_pressure_pa", "cc_in_pa")}
     assert reasons(leg(rows=rows, ram_door_open=door, altitude_m=height, **pa)) == ["DOOR_STILL" if still else ""]
-
-
-def test_a_row_recorded_twice_counts_once_and_a_gap_is_not_monitored():
-    twice = pl.concat([leg(), leg()])
-    assert prepare_samples(twice).height == 12
-    assert prepare_samples(pl.concat([leg(rows=1), leg(2, rows=1)])).height == 2
-    holed = prepare_samples(leg(hx_out_k=[None] + [296.0] * 11))
-    assert holed["monitored"].to_list() == [False] + [True] * 11
-    assert prepare_samples(leg(vda_counts=None))["monitored"].all()
 
 
 DAY = datetime(2026, 3, 5, 6, tzinfo=UTC)

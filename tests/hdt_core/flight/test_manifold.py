@@ -81,19 +81,12 @@ def test_the_law_is_hubers_regression_with_an_offset_for_ten_flights():
     assert computed == pytest.approx(index.ravel())
 
 
-def test_ten_samples_a_term_are_too_few_and_noise_is_a_hundredth_at_least():
+def test_few_samples_a_term_and_like_outlets_tell_nothing():
     samples, legs = flown()
     assert learn_manifold(samples.head(70), legs) is None
     assert learn_manifold(samples.head(71), legs) is not None
     calm = samples.with_columns(hx_out_k=pl.lit(300.0), tat_k=pl.lit(250.0))
     assert learn_manifold(calm, legs).noise == 0.01
-
-
-LAW = Manifold((0.0,) * len(TERMS), (0.0,) * len(TERMS), 0.02)
-"""The index is the ratio's logarithm itself."""
-
-
-def test_outlets_within_five_kelvin_of_either_side_tell_nothing():
     samples = flown()[0].head(1).with_columns(hx_in_k=pl.lit(400.0), tat_k=pl.lit(250.0))
     for out, is_valid in ((394.9, True), (395.0, False), (255.1, True), (255.0, False)):
         index = add_conductance_index(samples.with_columns(hx_out_k=pl.lit(out)), LAW)["conductance_index"][0]
@@ -107,7 +100,11 @@ def test_outlets_within_five_kelvin_of_either_side_tell_nothing():
     assert add_conductance_index(low, slow)["conductance_index"][0] == pytest.approx(y - np.log(0.2))
 
 
-def test_unrest_is_the_furthest_mean_of_some_in_a_row_in_standard_errors():
+LAW = Manifold((0.0,) * len(TERMS), (0.0,) * len(TERMS), 0.02)
+"""The index is the ratio's logarithm itself."""
+
+
+def test_unrest_is_the_furthest_mean_of_up_to_nine_in_standard_errors(monkeypatch):
     samples = flown(3)[0].head(2 * EACH)
     result = leg_conductance(samples, LAW).sort("flight_id")
     s = columns(samples)
@@ -117,9 +114,6 @@ def test_unrest_is_the_furthest_mean_of_some_in_a_row_in_standard_errors():
         means = [abs(off[i : i + m].mean()) * np.sqrt(m) for m in (2, 3, 4, 6) for i in range(EACH - m + 1)]
         assert (row["index_level"], row["index_n"]) == (pytest.approx(np.median(own)), EACH)
         assert row["index_unrest"] == pytest.approx(max(means) / 0.02)
-
-
-def test_runs_of_up_to_nine_samples_are_looked_at(monkeypatch):
     index = np.zeros(40)
     index[20:29] = 0.1
     rows = pl.DataFrame({"operator": "TST", "tail": "T", "flight_id": "F", "pack": 1, "conductance_index": index})
@@ -188,7 +182,7 @@ def test_a_stray_leaves_its_neighbours(off, usual, stray):
     assert rows["index_off"][25] == pytest.approx(off)
 
 
-def test_neighbours_are_seven_flights_and_a_level_learned_is_theirs():
+def test_outliers_lie_beyond_the_chi_square_quantile_of_neighbours_and_levels():
     level = np.random.default_rng(1).normal(1.0, 0.02, N)
     smooth = [np.median(level[max(0, k - 3) : k + 4]) for k in FLIGHT]
     assert judge_levels(level)["index_off"].to_list() == pytest.approx((level - smooth).tolist())
@@ -198,9 +192,6 @@ def test_neighbours_are_seven_flights_and_a_level_learned_is_theirs():
     assert learn_level(levels(level).clear(), NO_LOG) == IndexLevel()
     lone = judge_conductance(levels(level).head(1), NO_LOG, UNKNOWN)
     assert lone["index_off"].to_list() == [None]
-
-
-def test_outliers_lie_beyond_the_chi_square_quantile():
     edge = np.sqrt(chi2.ppf(0.9995, 2))
     scatter = Scatter(("a", "b"), (1.0, 0.0), ((4.0, 0.0), (0.0, 1.0)))
     rows = pl.DataFrame(

@@ -47,12 +47,14 @@ def test_snapshots_of_the_real_flight_fall_into_the_same_phases(a320, every_s):
     assert (phase == openap)[clear].all()
 
 
-def test_missing_altitudes_change_nothing_in_cruise(a320):
+def test_missing_altitudes_and_the_recorders_own_code_change_nothing(a320):
     holed = a320.copy()
     holed[np.random.default_rng(2).random(holed.size) < 0.05] = np.nan
     frame = flown(holed).with_columns(pl.col("altitude_m").fill_nan(None))
     phase = add_phases(frame, by=BY)["phase"].to_numpy()
     assert (phase[TOP_OF_CLIMB_S + 90 : TOP_OF_DESCENT_S - 90] == "cruise").all()
+    wrong = flown(a320, phase_code=np.full(a320.size, "GR"))
+    assert add_phases(wrong, by=BY)["phase"].equals(add_phases(flown(a320), by=BY)["phase"])
 
 
 @pytest.mark.parametrize("every_s", [1, 150])
@@ -63,7 +65,7 @@ def test_flight_of_manoeuvres_has_no_cruise(every_s):
     assert "cruise" not in set(add_phases(flown(weave * envelope, every_s), by=BY)["phase"])
 
 
-def test_hold_below_the_floor_is_no_cruise_and_step_climb_is_none():
+def test_a_hold_below_the_floor_is_no_cruise_and_mach_tells_the_ground():
     up, down = np.arange(0, 10_000, 10.0), np.arange(10_600, 2_400, -8.0)
     level, step, high = np.full(1500, 10_000.0), np.arange(10_000, 10_600, 4.0), np.full(1500, 10_600.0)
     hold, land = np.full(900, 2_400.0), np.arange(2_400, 0, -6.0)
@@ -72,19 +74,11 @@ def test_hold_below_the_floor_is_no_cruise_and_step_climb_is_none():
     ends = np.cumsum([p.size for p in (up, level, step, high, down, hold, land)])
     middle = (np.concatenate([[0], ends[:-1]]) + ends) // 2
     assert list(phase[middle]) == ["climb", "cruise", "climb", "cruise", "descent", "descent", "descent"]
-
-
-def test_mach_tells_the_ground():
     altitude = np.concatenate([np.full(300, 100.0), np.arange(100, 9_000, 10.0), np.full(1200, 9_000.0)])
     mach = np.concatenate([np.full(300, 0.02), np.full(altitude.size - 300, 0.6)])
     phase = add_phases(flown(altitude, mach=mach), by=BY)["phase"].to_numpy()
     assert set(phase[:250]) == {"ground"}
     assert phase[-100] == "cruise"
-
-
-def test_recorder_phase_code_is_not_read(a320):
-    wrong = flown(a320, phase_code=np.full(a320.size, "GR"))
-    assert add_phases(wrong, by=BY)["phase"].equals(add_phases(flown(a320), by=BY)["phase"])
 
 
 def phases(altitude_m: list[float], every_s: float = 120.0, **more: np.ndarray) -> list[str]:

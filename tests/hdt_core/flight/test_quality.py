@@ -39,10 +39,19 @@ def recorded(n: int = 40, seed: int = 1) -> pl.DataFrame:
     return pl.concat(packs)
 
 
-def test_sound_record_passes_untouched():
+def test_a_sound_record_passes_a_lasting_step_is_no_spike_and_an_empty_column_uncounted():
     screened = null_bad_values(recorded(), by=BY)
     assert screened.select(SIGNALS).equals(recorded().select(SIGNALS))
     assert screened.select(pl.sum_horizontal("n_out_of_range", "n_spikes", "n_frozen").sum()).item() == 0
+    stepped = recorded().with_columns(
+        pl.when(pl.col("time_utc").rank("dense") > 20)
+        .then(pl.col("hx_out_k") + 25.0)
+        .otherwise(pl.col("hx_out_k"))
+        .alias("hx_out_k")
+    )
+    assert null_bad_values(stepped, by=BY)["hx_out_k"].null_count() == 0
+    without = recorded().with_columns(pl.lit(None, pl.Float64).alias("ram_out_k"))
+    assert null_bad_values(without, by=BY)["n_out_of_range"].sum() == 0
 
 
 PAPER = """
@@ -124,18 +133,3 @@ def test_a_reading_bound_to_the_air_moves_with_altitude(signal):
 def test_a_jump_of_just_what_is_allowed_is_no_spike(sign, beside):
     around = {59: beside[0], 60: 345.0 + sign, 61: beside[1]}
     assert read("hx_out_k", dict.fromkeys(range(55, 66), 345.0) | around)["n_spikes"][60] == 0
-
-
-def test_step_that_stays_is_no_spike():
-    stepped = recorded().with_columns(
-        pl.when(pl.col("time_utc").rank("dense") > 20)
-        .then(pl.col("hx_out_k") + 25.0)
-        .otherwise(pl.col("hx_out_k"))
-        .alias("hx_out_k")
-    )
-    assert null_bad_values(stepped, by=BY)["hx_out_k"].null_count() == 0
-
-
-def test_column_that_nobody_records_stays_empty_and_uncounted():
-    without = recorded().with_columns(pl.lit(None, pl.Float64).alias("ram_out_k"))
-    assert null_bad_values(without, by=BY)["n_out_of_range"].sum() == 0

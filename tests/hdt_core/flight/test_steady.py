@@ -30,30 +30,24 @@ def log(drift: dict[str, float], seed: int = 4) -> pl.DataFrame:
     )
 
 
-def test_average_is_the_mean_of_its_minute():
+def test_an_average_is_the_mean_of_its_minute_where_no_driver_drifts_to_matter():
     averaged = average_log(log({}), by=("tail",))
     assert averaged["n_averaged"].to_list() == [60] * 10
     assert averaged["steady"].all()
     for signal in SIGNALS:
         expected = log({})[signal].to_numpy().reshape(10, 60).mean(axis=1)
         np.testing.assert_allclose(averaged[signal].to_numpy(), expected, rtol=1e-12)
+    slow = {s: 0.2 * rate for s, (rate, _) in DRIVERS.items()}
+    assert average_log(log(slow), by=("tail",))["steady"].all()
+    assert DRIVERS == {
+        "altitude_m": (1.524, 5.0), "mach": (4.0e-4, 1.5e-3), "tat_k": (0.03, 0.35), "hx_in_k": (0.08, 0.6),
+        "pack_flow_kg_s": (1.5e-3, 0.012), "ram_door_open": (2.0e-3, 0.012),
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("signal", DRIVERS)
 def test_minute_in_which_a_driver_drifts_is_not_steady(signal):
     assert not average_log(log({signal: 4.0 * DRIVERS[signal][0]}), by=("tail",))["steady"].any()
-
-
-def test_drift_too_slow_to_matter_is_steady():
-    slow = {s: 0.2 * rate for s, (rate, _) in DRIVERS.items()}
-    assert average_log(log(slow), by=("tail",))["steady"].all()
-
-
-def test_drivers_on_paper():
-    assert DRIVERS == {
-        "altitude_m": (1.524, 5.0), "mach": (4.0e-4, 1.5e-3), "tat_k": (0.03, 0.35), "hx_in_k": (0.08, 0.6),
-        "pack_flow_kg_s": (1.5e-3, 0.012), "ram_door_open": (2.0e-3, 0.012),
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize(("seconds", "averaged"), [(45, 1), (44, 0)])
@@ -149,12 +143,15 @@ def test_window_reaches_as_many_flights_as_declared_and_only_that_pack(component
     assert flagged["flight_number"].to_list() == list(range(29 - before, 29 + after + 1))
 
 
-def test_a_time_of_day_opens_the_window_at_that_time():
+def test_a_time_of_day_opens_the_window_at_that_time_and_packs_share_their_flight_numbers():
     """The flight of six o'clock had left when the work was done at noon."""
     noon = worked("HX").with_columns(done_at=pl.lit(datetime(2024, 3, 31, 12, tzinfo=UTC)))
     flagged = flag_windows(legs(), noon, NO_MESSAGE).filter("near_maintenance")
     before, after = AROUND_MAINTENANCE["HX"]
     assert flagged["flight_number"].to_list() == list(range(30 - before, 30 + after + 1))
+    counts = legs().group_by("tail", "departed_at").agg(pl.col("flight_number").n_unique())
+    assert set(counts["flight_number"]) == {1}
+    assert not flag_windows(legs(), NO_WORK, warned("21-61-TRIM"))["near_message"].any()
 
 
 @pytest.mark.parametrize("action", ["INSPECTED", "CLEANED"])
@@ -169,20 +166,11 @@ def test_message_of_the_exchanger_or_compressor_opens_a_window(code):
     assert flagged["flight_number"].to_list() == list(range(30 - before, 30 + after + 1))
 
 
-def test_nuisance_message_opens_none():
-    assert not flag_windows(legs(), NO_WORK, warned("21-61-TRIM"))["near_message"].any()
-
-
 @pytest.mark.parametrize("on", [date(2023, 1, 1), date(2025, 1, 1)])
 def test_entry_outside_the_record_flags_nothing(on):
     flagged = flag_windows(legs(), worked("HX", on=on), NO_MESSAGE)
     assert flagged.height == legs().height
     assert flagged["near_maintenance"].sum() == 0
-
-
-def test_both_packs_share_their_flight_numbers():
-    counts = legs().group_by("tail", "departed_at").agg(pl.col("flight_number").n_unique())
-    assert set(counts["flight_number"]) == {1}
 
 
 def test_windows_and_milestones_on_paper():
@@ -233,28 +221,30 @@ def leg(component=HXT, **changed: object) -> dict[str, object]:
     return component_legs(component_samples(signals(**changed), component), component).row(0, named=True)
 
 
-def test_a_leg_of_six_samples_speaks():
+def test_a_leg_of_six_samples_speaks_and_misses_only_channels_it_needs():
     row = leg()
     assert (row["reason"], row["component"], row["n_samples"], row["n_nominal"]) == ("", "HXT", 6, 6)
     assert row["departed_at"] == MORNING
     wide = component_samples(pl.concat([signals(), signals(code="OTHER", mach=0.1)]), HXT)
     assert wide["mach"].to_list() == [0.8] * 6
     assert wide["ram_exit_open"].null_count() == 6
-
-
-@pytest.mark.parametrize(("slow", "reason"), [(1, ""), (2, "FEW_SAMPLES")])
-def test_five_nominal_samples_are_enough(slow, reason):
-    row = leg(mach=[0.15] * slow + [0.151] * (6 - slow))
-    assert (row["n_nominal"], row["reason"]) == (6 - slow, reason)
-
-
-def test_a_channel_that_is_needed_is_missed_and_another_not():
     assert leg(hot_out_k=None)["reason"] == "NOT_RECORDED"
     assert leg(fan_rad_s=None)["reason"] == ""
     assert leg(hot_out_k=[300.0] + [None] * 5)["reason"] == "FEW_SAMPLES"
     needed = tuple(replace(c, needed=c.needed or c.signal == "fan_rad_s") for c in HXT.record.channels)
     unit = replace(HXT, record=replace(HXT.record, channels=needed))
     assert leg(unit, fan_rad_s=None)["reason"] == ""  # the model has all it takes
+    later = signals().with_columns(flight_id=pl.lit("A"), time_utc=pl.col("time_utc") + timedelta(hours=9))
+    wide = component_samples(pl.concat([later, signals()]), HXT)
+    assert component_legs(wide, HXT)["flight_id"].to_list() == ["F", "A"]
+    with pytest.raises(ValueError, match="HX has no record"):
+        component_samples(signals(), components()["HX"])
+
+
+@pytest.mark.parametrize(("slow", "reason"), [(1, ""), (2, "FEW_SAMPLES")])
+def test_five_nominal_samples_are_enough(slow, reason):
+    row = leg(mach=[0.15] * slow + [0.151] * (6 - slow))
+    assert (row["n_nominal"], row["reason"]) == (6 - slow, reason)
 
 
 @pytest.mark.parametrize(("harmful", "reason"), [(0.009, "UNSTEADY"), (0.011, "")])
@@ -264,14 +254,3 @@ def test_a_signal_that_drifts_faster_than_it_may_is_unsteady(harmful, reason):
     unit = replace(HXT, record=replace(HXT.record, channels=tuple(drifting)))
     tat = [250.0 + 0.6 * k + 0.001 * (k % 2) for k in range(6)]
     assert leg(unit, tat_k=tat)["reason"] == reason
-
-
-def test_a_component_of_the_packs_record_has_no_samples_of_its_own():
-    with pytest.raises(ValueError, match="HX has no record"):
-        component_samples(signals(), components()["HX"])
-
-
-def test_legs_come_in_order_of_departure():
-    later = signals().with_columns(flight_id=pl.lit("A"), time_utc=pl.col("time_utc") + timedelta(hours=9))
-    wide = component_samples(pl.concat([later, signals()]), HXT)
-    assert component_legs(wide, HXT)["flight_id"].to_list() == ["F", "A"]

@@ -51,22 +51,16 @@ def replaced(nothing_done) -> pl.DataFrame:
     )
 
 
-def test_slopes_are_least_squares(nothing_done) -> None:
+def test_slopes_are_least_squares_over_gaps_from_four_values_on(nothing_done) -> None:
     loss = np.cumsum(np.random.default_rng(0).normal(0.001, 0.004, 120))
     out = described(health(loss), nothing_done)
     for n in (10, 30, 100):
         expected = np.polyfit(np.arange(n), loss[-n:], 1)[0]
         assert out[f"hx_fouling_slope_{n}_per_flight"][-1] == pytest.approx(expected, rel=1e-6)
-
-
-def test_slopes_stand_gaps_and_long_histories(nothing_done) -> None:
     loss = 0.0001 * np.arange(6000.0)
     loss[5990::3] = np.nan
     out = described(health(loss), nothing_done)
     assert out["hx_fouling_slope_10_per_flight"][-1] == pytest.approx(1e-4, rel=1e-6)
-
-
-def test_a_slope_wants_four_values(nothing_done) -> None:
     slope = described(health(0.001 * np.arange(6.0)), nothing_done)["hx_fouling_slope_10_per_flight"]
     assert slope.to_list()[:3] == [None] * 3
     assert slope.to_list()[3:] == pytest.approx([0.001] * 3)
@@ -91,15 +85,12 @@ def test_steps_and_jumps_by_hand(nothing_done, rate) -> None:
     assert jump[10:] == pytest.approx((loss[10:] - loss[:-10]).tolist())
 
 
-def test_a_step_is_told_from_two_of_the_last_three_flights(nothing_done) -> None:
+def test_a_step_is_told_from_two_of_three_flights_and_one_alone_moves_first(nothing_done) -> None:
     loss = np.full(12, 0.1)
     loss[[8, 10, 11]] = np.nan
     step = described(health(loss), nothing_done)["hx_fouling_step_3"].to_list()
     assert step[9] is not None
     assert step[10] is None
-
-
-def test_what_a_flight_alone_says_moves_first(nothing_done) -> None:
     long, loss = health(np.full(20, 0.1)), np.where(np.arange(20) >= 18, 0.3, 0.1)
     alone = twin_rows(long).with_columns(ln_ua_ratio=np.log(1.0 - loss), ln_ram_ratio=np.log(1.0 - 0.5 * loss))
     out = features(long, NO_RESIDUALS, legs_of(long), nothing_done, twin_flights=alone)
@@ -177,7 +168,7 @@ def test_residual_means_have_their_names(nothing_done) -> None:
     assert out["hx_out_d_k"].to_list() == [5.0]
 
 
-def test_a_new_unit_starts_a_new_life(replaced) -> None:
+def test_a_new_unit_starts_a_new_life_from_the_day_of_a_late_entry(replaced) -> None:
     loss = np.where(np.arange(90) < 45, 0.3, 0.0) + 0.001 * np.arange(90)
     out = described(health(loss), replaced)
     day = out["departed_at"].dt.date()
@@ -185,6 +176,9 @@ def test_a_new_unit_starts_a_new_life(replaced) -> None:
     assert out.filter(day > date(2024, 3, 15))["flights_since_replacement"].to_list() == list(range(45))
     # no slope reaches back over the replacement
     assert out["hx_fouling_slope_100_per_flight"][-1] == pytest.approx(0.001, rel=1e-6)
+    rows = legs_of(health(np.zeros(60)))
+    out = since_maintenance(rows.with_columns(pl.lit(0).alias("flight_index")), replaced)
+    assert out["hx_life"].to_list() == [0] * 45 + [1] * 15
 
 
 def test_the_age_of_a_unit_fitted_before_the_record_begins_is_not_known():
@@ -203,22 +197,13 @@ def test_nothing_leaks_from_the_future(replaced) -> None:
     assert_frame_equal(whole.filter(early), part, check_exact=False, rel_tol=1e-9, abs_tol=1e-9)
 
 
-def test_row_order_and_other_tails_change_nothing(nothing_done) -> None:
+def test_row_order_other_tails_and_no_flights_change_nothing(nothing_done) -> None:
     loss = np.cumsum(np.random.default_rng(2).normal(0.001, 0.004, 40))
     alone = described(health(loss), nothing_done)
     both = pl.concat([health(loss[::-1].copy(), tail="T-AAB"), health(loss)]).sample(fraction=1.0, shuffle=True, seed=1)
     assert_frame_equal(described(both, nothing_done).filter(pl.col("tail") == "T-AAA"), alone)
-
-
-def test_no_flights_no_rows(nothing_done) -> None:
     empty = health(np.zeros(1)).clear()
     assert described(empty, nothing_done).height == 0
-
-
-def test_late_log_entry_counts_from_its_day(replaced) -> None:
-    rows = legs_of(health(np.zeros(60)))
-    out = since_maintenance(rows.with_columns(pl.lit(0).alias("flight_index")), replaced)
-    assert out["hx_life"].to_list() == [0] * 45 + [1] * 15
 
 
 @pytest.mark.parametrize(

@@ -58,27 +58,18 @@ def means(residual_rows: pl.DataFrame, signal: str, kind: str, pack: int) -> np.
     return rows["mean"].to_numpy()
 
 
-def test_honours_the_contract(residual_rows) -> None:
+def test_residuals_honour_the_contract_and_the_three_add_up(residual_rows) -> None:
     assert Residuals.faults(Residuals.conform(residual_rows)) == []
     assert set(residual_rows["kind"]) == set(KINDS)
     assert set(residual_rows["signal"]) == set(SIGNALS)
     assert residual_rows["mean"].is_nan().sum() == 0
-
-
-def test_the_three_add_up(residual_rows) -> None:
     wide = residual_rows.pivot("kind", index=[*KEY, "signal"], values="mean").drop_nulls()
     assert wide.height > 20
     total = wide["sensor_minus_dsm"] + wide["dsm_minus_twin"]
     scale = wide["sensor_minus_dsm"].abs() + wide["dsm_minus_twin"].abs() + 1e-9
     assert ((total - wide["sensor_minus_twin"]).abs() / scale).max() < 1e-6
-
-
-def test_as_built_unit_agrees_with_model_and_twin(residual_rows) -> None:
     for kind in KINDS:
         np.testing.assert_allclose(means(residual_rows, "hx_out_k", kind, 1), 0.0, atol=1e-6)
-
-
-def test_lost_conductance_shows_against_the_model_and_not_against_the_twin(residual_rows) -> None:
     assert means(residual_rows, "hx_out_k", "sensor_minus_dsm", 2).min() > 3.0
     np.testing.assert_allclose(means(residual_rows, "hx_out_k", "sensor_minus_twin", 2), 0.0, atol=0.02)
     # heat that the hot side keeps the cold side misses

@@ -99,7 +99,7 @@ def test_cross_checks_and_setting_by_hand() -> None:
     assert row["door_peg_excess_k"] is None  # where the door is widest it has no authority
 
 
-def test_a_witness_wants_three_samples_and_level_flight() -> None:
+def test_a_witness_wants_three_samples_level_flight_and_pressures_that_can_be() -> None:
     at, both = pl.int_range(pl.len()).over("pack"), both_packs()
     for n_valid, is_computed in ((3, True), (2, False)):
         row = first(both.with_columns(cc_in_k=pl.when(at < n_valid).then("cc_in_k")))
@@ -108,6 +108,13 @@ def test_a_witness_wants_three_samples_and_level_flight() -> None:
     climb = first(both.with_columns(phase=pl.when(at < 4).then(pl.lit("climb")).otherwise("phase")))
     assert climb["w_inlet_minus_tat_k"] is None
     assert climb["w_hx_out_minus_target_k"] is not None
+    for pa in (0.0, -1.0):
+        row = first(both_packs().with_columns(cc_out_pa=pl.lit(pa), total_pressure_pa=pl.lit(pa)))
+        assert row["w_cc_out_pressure_over_schedule_ln"] is None
+        assert row["w_total_over_pitot_pressure_ln"] is None
+        assert row["w_cc_out_pressure_between_packs_ln"] is None
+    once = both_packs().with_columns(cc_in_pa=pl.when(pl.int_range(pl.len()) > 0).then("cc_in_pa").otherwise(0.0))
+    assert first(once)["w_inlet_over_total_pressure_ln_n"] == 5
 
 
 @pytest.mark.parametrize(
@@ -126,16 +133,6 @@ def test_a_pack_at_rest_is_no_witness(signal: str, check: str) -> None:
             value = first(both_packs().with_columns(rest.alias(signal)))[f"w_{check}"]
             if of == 1 or "between" in check:
                 assert (value is not None) is is_computed
-
-
-def test_pressures_that_cannot_be_are_no_witness() -> None:
-    for pa in (0.0, -1.0):
-        row = first(both_packs().with_columns(cc_out_pa=pl.lit(pa), total_pressure_pa=pl.lit(pa)))
-        assert row["w_cc_out_pressure_over_schedule_ln"] is None
-        assert row["w_total_over_pitot_pressure_ln"] is None
-        assert row["w_cc_out_pressure_between_packs_ln"] is None
-    once = both_packs().with_columns(cc_in_pa=pl.when(pl.int_range(pl.len()) > 0).then("cc_in_pa").otherwise(0.0))
-    assert first(once)["w_inlet_over_total_pressure_ln_n"] == 5
 
 
 def test_a_sensor_stands_still_from_eight_readings_on_and_empty_ones_are_counted() -> None:
@@ -195,7 +192,7 @@ def test_a_stop_runs_warm_where_the_door_rests(fly) -> None:
     assert after["door_peg_excess_k"].median() > 1.3
 
 
-def test_pack_off_is_no_witness(fly) -> None:
+def test_pack_off_is_no_witness_and_a_lone_pack_keeps_its_own_checks(fly) -> None:
     samples = fly(40)
     off = late(samples)
     flows = [pl.when(off).then(0.0).otherwise(pl.col(c)).alias(c) for c in ("pack_flow_kg_s", "cc_flow_kg_s")]
@@ -204,9 +201,6 @@ def test_pack_off_is_no_witness(fly) -> None:
     other = out.filter(pl.col("pack") == 2).sort("departed_at").slice(FROM)
     assert other["running"].all()
     assert other["w_hx_out_between_packs_k"].null_count() == other.height
-
-
-def test_a_lone_pack_has_no_partner_but_keeps_its_own_checks(fly) -> None:
     out = cross_checks(fly(12).filter(pl.col("pack") == 1))
     assert out["w_hx_out_between_packs_k"].null_count() == out.height
     assert out["w_inlet_minus_tat_k"].null_count() == 0

@@ -48,32 +48,16 @@ def test_at_its_critical_diameter_a_machine_gives_that_flow_at_the_pressure_aske
         np.testing.assert_allclose(exit_pa, asked_pa, rtol=1e-12)
 
 
-def test_a_smaller_machine_delivers_less():
+def test_a_smaller_machine_delivers_less_a_higher_limit_leaves_more_up_to_the_bound():
     left = [share(ln_diameter) for ln_diameter in (0.0, -0.03, -0.06, -0.1)]
     assert (np.diff(left) < 0.0).all()
     assert left[-1] > 0.0
-
-
-@pytest.mark.parametrize(
-    "changed", [{"inlet_k": 262.0}, {"inlet_pa": 26_500.0}, {"no_flow_ln": np.log(88_000.0)}, {"flow_kg_s": 0.85}]
-)
-def test_hotter_thinner_air_more_pressure_and_more_flow_leave_less(changed):
-    assert share(-0.05, **changed) < share(-0.05)
-
-
-def test_a_higher_limit_leaves_more():
     assert share(-0.05, speed_rad_s=1.02 * LIMIT_RAD_S) > share(-0.05)
-
-
-def test_a_share_at_the_bound_is_the_bound():
     critical = np.array([[-2.0, -1.0, 0.0, 1.0, 2.0]])
-    for widest, share in ((1.1, 1.0), (1.0, 1.0), (0.9, 0.9)):
+    for widest, bound in ((1.1, 1.0), (1.0, 1.0), (0.9, 0.9)):
         shares, slope = share_left(np.zeros(1), critical, np.array([widest]))
-        assert shares[0] == pytest.approx(share)
+        assert shares[0] == pytest.approx(bound)
         assert np.isnan(slope[0]) == (widest <= 1.0)
-
-
-def test_no_more_is_promised_than_the_widest_position_on_record_lets_through():
     easy = {"inlet_pa": 60_000.0}
     critical, widest = required_diameter(cruise_demand(**easy), FIT, LIMIT_RAD_S)
     shares, slope = share_left(np.zeros(1), critical, widest)
@@ -81,6 +65,13 @@ def test_no_more_is_promised_than_the_widest_position_on_record_lets_through():
     assert np.isnan(slope[0])
     wider = replace(FIT, vda_widest_counts=900.0)
     assert share_left(np.zeros(1), *required_diameter(cruise_demand(**easy), wider, LIMIT_RAD_S))[0][0] > shares[0]
+
+
+@pytest.mark.parametrize(
+    "changed", [{"inlet_k": 262.0}, {"inlet_pa": 26_500.0}, {"no_flow_ln": np.log(88_000.0)}, {"flow_kg_s": 0.85}]
+)
+def test_hotter_thinner_air_more_pressure_and_more_flow_leave_less(changed):
+    assert share(-0.05, **changed) < share(-0.05)
 
 
 def p20(values: np.ndarray) -> float:
@@ -153,13 +144,17 @@ def test_hot_and_high(dsm, laws, flight, limit_rad_s):
     assert row["cc_widest_share_hot_high"] == pytest.approx(widest_kg_s(*inlet, limit_rad_s) / flow, rel=1e-5)
 
 
-def test_no_map_no_limit_and_no_cruise_tell_nothing(dsm, laws, flight):
+def test_no_map_limit_cruise_or_reading_costs_no_more_than_its_flight(dsm, laws, flight):
     unlimited = replace(laws, speed=SpeedLimit())
     assert compressor_demand(flight, dsm, unlimited).height == 0
     assert compressor_demand(flight.with_columns(phase=pl.lit("climb")), dsm, laws).height == 0
     for slope, sd, n_rows in ((5.01e-8, 1e-8, 1), (4.99e-8, 1e-8, 0), (1.01e-8, 0.0, 1), (0.99e-8, 0.0, 0)):
         fit = replace(dsm.compressor, group_slope_m3_per_count=slope, group_slope_sd_m3_per_count=sd)
         assert compressor_demand(flight, replace(dsm, compressor=fit), laws).height == n_rows
+    holed = flight.with_columns(vda_counts=pl.when(pl.int_range(pl.len()) > 0).then("vda_counts"))
+    demand = compressor_demand(holed, dsm, laws)
+    assert demand.height == 1
+    assert demand.select(CRITICAL_DIAMETER["p20"]).null_count().sum_horizontal().item() == 0
 
 
 def test_a_limit_not_met_and_a_pack_without_a_model_of_its_own(dsm, laws, flight):
@@ -172,13 +167,6 @@ def test_a_limit_not_met_and_a_pack_without_a_model_of_its_own(dsm, laws, flight
     sound = replace(dsm, packs=(replace(dsm.packs[0], inlet_bias_k=0.0, inlet_bias_ln=0.0, exit_bias_ln=0.0),))
     same = compressor_demand(flight, sound, replace(laws, delivery=level))
     assert stranger.drop("tail").equals(same.drop("tail"))
-
-
-def test_one_sample_without_a_reading_costs_its_flight_nothing(dsm, laws, flight):
-    holed = flight.with_columns(vda_counts=pl.when(pl.int_range(pl.len()) > 0).then("vda_counts"))
-    demand = compressor_demand(holed, dsm, laws)
-    assert demand.height == 1
-    assert demand.select(CRITICAL_DIAMETER["p20"]).null_count().sum_horizontal().item() == 0
 
 
 @pytest.mark.parametrize("name", ["cc_in_pa", "cc_in_k", "vda_counts", "total_pressure_pa", "pack_flow_kg_s"])

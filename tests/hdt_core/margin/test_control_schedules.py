@@ -19,12 +19,9 @@ from hdt_core.flight.control_schedules import (
 )
 
 
-def test_knots_lie_eight_kelvin_and_eight_hundred_metres_apart():
+def test_a_schedule_is_read_between_knots_of_eight_kelvin_with_gain_and_level():
     assert tuple(228.0 + 8.0 * k for k in range(12)) == TAT_KNOTS_K
     assert tuple(4800.0 + 800.0 * k for k in range(13)) == ALTITUDE_KNOTS_M
-
-
-def test_a_schedule_is_read_between_its_knots_with_gain_and_level():
     law = ControlSchedule((0.0, 10.0), {"": (0.0, 5.0), "A": (1.0, 3.0)}, {"": 0.0, "A": 2.0}, {"": 7.0, "A/1": 8.0})
     tails, x = np.array(["A", "B", "A", "A"]), np.array([5.0, 5.0, 20.0, np.nan])
     assert law.column(tails, x, np.array([1.0, 1.0, 0.5, 0.0])).to_list() == [4.0, 2.5, 4.0, None]
@@ -90,32 +87,26 @@ def test_schedules_are_the_least_squares_of_their_aircraft():
     assert ControlSchedules.from_dict(json.loads(json.dumps(learned.to_dict()))) == learned
 
 
-def test_a_limit_is_met_where_pressure_falls_short_of_the_schedule_at_its_altitude():
+def test_a_limit_is_met_where_pressure_falls_short_or_speed_is_within_half_a_percent():
     fast = pl.int_range(pl.len()) < 30
     samples = fleet(1).with_columns(
         cc_speed_rad_s=pl.when(fast).then(4300.0).otherwise("cc_speed_rad_s"),
         cc_out_pa=pl.col("cc_out_pa") * pl.when(fast).then(np.exp(-0.05)).otherwise(1.0),
     )
     assert learn_schedules(samples).speed == SpeedLimit(4300.0, at_limit=True)
-
-
-def test_samples_within_half_a_percent_of_the_highest_speed_are_at_the_limit():
     counts, shares = (11, 20, 80, 400), (1.0, 1.0 - 0.0048, 1.0 - 0.0052, 0.9)
     speed = 4300.0 * np.repeat(shares, counts)
     short = np.where(speed > 4000.0, -0.05, 0.001 * np.sin(np.arange(speed.size)))
     assert speed_limit(speed, short) == SpeedLimit(4300.0 * (1.0 - 0.0048), at_limit=True)
 
 
-def test_an_aircraft_has_its_own_law_from_300_samples_on_and_else_that_of_all():
+def test_an_aircraft_has_its_own_law_from_300_samples_and_two_a_knot():
     few = fleet(2, tail="B").head(299)
     learned = learn_schedules(pl.concat([fleet(1), few]))
     assert set(learned.outlet.shapes) == {"", "A"}
     assert set(learn_schedules(pl.concat([fleet(1), fleet(2, tail="B")])).outlet.shapes) == {"", "A", "B"}
     assert learned.outlet.shape("B", np.array([240.0])) == learned.outlet.shape("", np.array([240.0]))
     assert {"A/1", "B/1", ""} == set(learned.outlet.levels)
-
-
-def test_a_law_wants_two_samples_a_knot():
     samples = fleet(1)
     assert set(learn_schedules(samples.head(23)).outlet.shapes[""]) == {0.0}
     assert len(set(learn_schedules(samples.head(24)).outlet.shapes[""])) > 1

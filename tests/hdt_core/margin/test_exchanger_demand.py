@@ -33,7 +33,7 @@ def cruise(**changed: float) -> dict[str, np.ndarray]:
     return {name: np.array([value]) for name, value in (CRUISE | changed).items()}
 
 
-def test_outlet_with_the_door_full_open_is_the_models():
+def test_outlet_with_the_door_full_open_is_the_models_and_nothing_where_speed_reads_none():
     outlet = full_open_outlet_k(cruise(), hx.MEAN, np.array([-0.3, 0.0]), np.log(0.8))[0]
     full = cruise(ram_door_open=1.0)
     ram = 0.8 * clean_ram_flow_kg_s(full, hx.MEAN)
@@ -43,9 +43,6 @@ def test_outlet_with_the_door_full_open_is_the_models():
     np.testing.assert_array_equal(
         *(full_open_outlet_k(cruise(ram_door_open=d), hx.MEAN, LN_RATIOS) for d in (0.1, 0.9))
     )
-
-
-def test_a_speed_that_reads_nothing_gives_no_answer_and_no_warning():
     still = cruise(mach=0.0, total_pressure_pa=22_632.0)
     assert np.isnan(full_open_outlet_k(still, hx.MEAN, LN_RATIOS)).all()
 
@@ -135,13 +132,10 @@ def test_low_flight_a_pack_at_rest_and_a_gap_ask_nothing(dsm, laws, flight):
     assert (none["high_n"], none["held_status"], none[CRITICAL[0]]) == (0, "unknown", None)
 
 
-def test_without_a_ram_outlet_the_blockage_is_not_known(dsm, laws, flight):
+def test_without_a_ram_outlet_blockage_is_unknown_and_an_unmet_pack_has_sound_sensors(dsm, laws, flight):
     row = exchanger_demand(flight.drop("ram_out_k"), dsm, laws).row(0, named=True)
     assert row["hx_margin_blockage_k"] is None
     assert row["hx_margin_ambient_k"] == exchanger_demand(flight, dsm, laws)["hx_margin_ambient_k"][0]
-
-
-def test_a_pack_the_model_has_not_met_has_sound_sensors(dsm, laws, flight):
     stranger = exchanger_demand(flight.with_columns(tail=pl.lit("T-99")), dsm, laws)
     sound = replace(dsm, packs=(replace(dsm.packs[0], bias=(0.0,) * 6, inlet_bias_k=0.0),))
     assert stranger[CRITICAL[2]].to_list() == pytest.approx(

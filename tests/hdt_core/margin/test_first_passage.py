@@ -51,14 +51,11 @@ def passage_by_hand(ratio: float, sd: float, levels: list[float], rate: float, r
 LEVELS = [-0.60, -0.50, -0.46, -0.44, -0.42, -0.38]
 
 
-def test_passage_is_its_formula():
+def test_passage_is_its_formula_and_the_share_of_lives_that_met_it():
     for ratio, sd, rate, rate_sd in ((-0.3, 0.012, 0.0008, 0.0005), (-0.25, 0.04, 0.0002, 0.001)):
         one = np.ones(1)
         by = passage(ratio * one, sd * one, np.array([LEVELS]), rate * one, rate_sd * one, np.array(EDGES))[0]
         assert by.tolist() == pytest.approx(passage_by_hand(ratio, sd, LEVELS, rate, rate_sd), abs=1e-12)
-
-
-def test_passage_is_the_share_of_lives_that_met_it():
     rng, n, flights = np.random.default_rng(2), 4000, 300
     ratio, sd, rate, rate_sd = -0.25, 0.012, 0.0006, 0.0002
     wear = np.maximum(rng.normal(rate, rate_sd, (n, 1)), 0.0) * (np.arange(flights) + 0.5)
@@ -70,6 +67,8 @@ def test_passage_is_the_share_of_lives_that_met_it():
     )
     np.testing.assert_allclose(by[0, 1:], share_met, atol=0.03)
     assert 0.3 < share_met[-1] < 0.95
+    rate, sd = wear_rate(np.full(4, 0.005), np.array([0.0, 2.0, 60.0, 500.0]))
+    assert (rate[0], sd[0], rate[2], sd[2]) == (rate[1], sd[1], rate[3], sd[3])
 
 
 @pytest.mark.parametrize("flights", [2.0, 3.0, 20.0, 60.0])
@@ -78,11 +77,6 @@ def test_a_slope_counts_by_its_variance(flights):
     assert (rate[0], sd[0]) == pytest.approx(rate_by_hand(0.005, flights), rel=1e-9)
     other = wear_rate(np.array([0.005]), np.array([flights]), 0.003, 0.0004)
     assert (other[0][0], other[1][0]) == pytest.approx(rate_by_hand(0.005, flights, 0.003, 0.0004), rel=1e-9)
-
-
-def test_a_slope_counts_as_one_of_two_flights_at_least_and_of_sixty_at_most():
-    rate, sd = wear_rate(np.full(4, 0.005), np.array([0.0, 2.0, 60.0, 500.0]))
-    assert (rate[0], sd[0], rate[2], sd[2]) == (rate[1], sd[1], rate[3], sd[3])
 
 
 def one_pack(**columns: list[float | None]) -> pl.DataFrame:
@@ -113,7 +107,7 @@ def test_passages_of_a_pack_by_the_rule_before_any_message():
         assert hand[4] < 0.9
 
 
-def test_no_flight_no_passage():
+def test_no_flight_no_passage_no_trend_before_140_and_few_stand_for_the_window():
     none = one_pack(
         hx_ln_ua_ratio=[0.0], hx_fouling=[0.0], hx_fouling_slope_100_per_flight=[0.0], flights_seen_of_unit=[1]
     ).clear()
@@ -121,6 +115,23 @@ def test_no_flight_no_passage():
         pl.lit(0.0).alias(n) for n in CRITICAL[:5]
     )
     assert passages(none, demand).columns == ["operator", "tail", "flight_id", "pack", *PASSAGES]
+    critical = np.where(np.arange(200) < 40, 0.0, 1.0)
+    assert of_flight(critical, 138)[-1] == 0.0
+    assert of_flight(critical, 139)[-1] == 1.0
+    critical = np.array([np.nan, 3.0, np.nan, 1.0, 5.0])
+    assert np.isnan(of_flight(critical, 0)).all()
+    assert of_flight(critical, 1) == [3.0] * 8 + [0.0]
+    # 3, 3, 1, 5 over and over
+    assert of_flight(critical, 4) == [3.0, 5.0, 5.0, 5.0, 5.0, 5.0, 3.0, 5.0, 0.0]
+    critical = np.array([[1.0, 2.0, 9.0], [np.nan, 7.0, 8.0]])
+    most = demand_quantiles(critical, np.array([0, 1, 1]), np.array([1, 0, 1]))["asked_100"]
+    assert most.tolist() == pytest.approx([2.0, np.nan, 7.0], nan_ok=True)
+    critical = np.array([[-0.5, -0.1, -0.4, -0.3, -0.9, -0.2]])
+    assert repeated_demand(critical)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
+    assert repeated_demand(critical, of=4)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
+    assert repeated_demand(critical, of=2)[0, 1:].tolist() == [-0.5, -0.4, -0.4, -0.9, -0.9]
+    assert np.isnan(repeated_demand(critical)[0, 0])
+    assert repeated_demand(critical, of=1).tolist() == critical.tolist()
 
 
 def of_flight(critical: np.ndarray, flight: int) -> list[float]:
@@ -137,52 +148,17 @@ def test_quantiles_of_150_flights_and_of_40_and_the_trend_over_100():
     assert of_flight(critical, 350) == pytest.approx([*quantiles, trend])
 
 
-def test_no_trend_before_140_flights():
-    critical = np.where(np.arange(200) < 40, 0.0, 1.0)
-    assert of_flight(critical, 138)[-1] == 0.0
-    assert of_flight(critical, 139)[-1] == 1.0
-
-
-def test_few_flights_stand_for_the_window_and_a_gap_for_the_flight_before():
-    critical = np.array([np.nan, 3.0, np.nan, 1.0, 5.0])
-    assert np.isnan(of_flight(critical, 0)).all()
-    assert of_flight(critical, 1) == [3.0] * 8 + [0.0]
-    # 3, 3, 1, 5 over and over
-    assert of_flight(critical, 4) == [3.0, 5.0, 5.0, 5.0, 5.0, 5.0, 3.0, 5.0, 0.0]
-
-
-def test_packs_are_told_apart_and_later_flights_do_not_count():
-    critical = np.array([[1.0, 2.0, 9.0], [np.nan, 7.0, 8.0]])
-    most = demand_quantiles(critical, np.array([0, 1, 1]), np.array([1, 0, 1]))["asked_100"]
-    assert most.tolist() == pytest.approx([2.0, np.nan, 7.0], nan_ok=True)
-
-
-def test_two_hot_flights_of_some_ask_for_the_lower_of_them():
-    critical = np.array([[-0.5, -0.1, -0.4, -0.3, -0.9, -0.2]])
-    assert repeated_demand(critical)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
-    assert repeated_demand(critical, of=4)[0, 1:].tolist() == [-0.5, -0.4, -0.3, -0.9, -0.3]
-    assert repeated_demand(critical, of=2)[0, 1:].tolist() == [-0.5, -0.4, -0.4, -0.9, -0.9]
-    assert np.isnan(repeated_demand(critical)[0, 0])
-    assert repeated_demand(critical, of=1).tolist() == critical.tolist()
-
-
 RAM_K = 1.0 + 0.2 * 0.84**2
 
 
-def test_reference_cruise_is_11_km_at_mach_84():
+def test_reference_cruise_is_11_km_at_mach_84_another_level_has_its_pressure_and_a_hot_day_15_k():
     air = {name: values.tolist() for name, values in reference_air(2).items()}
     assert air["altitude_m"] == [11_000.0] * 2
     assert air["mach"] == [0.84] * 2
     assert air["tat_k"] == pytest.approx([216.65 * RAM_K] * 2)
     assert air["total_pressure_pa"] == pytest.approx([22_632.0 * RAM_K**3.5] * 2, rel=1e-4)
-
-
-def test_another_level_has_its_own_pressure():
     static_pa = 22_632.0 * np.exp(-9.80665 * (12_497.0 - 11_000.0) / (287.053 * 216.65))
     assert reference_air(1, 12_497.0)["total_pressure_pa"][0] == pytest.approx(static_pa * RAM_K**3.5, rel=1e-4)
-
-
-def test_hot_day_is_15_k_above_the_standard():
     standard_k = 288.15 - 0.0065 * 9000.0
     hot = hot_day_tat_k(np.array([9000.0]), np.array([0.8]))
     assert hot[0] == pytest.approx((standard_k + 15.0) * (1.0 + 0.2 * 0.8**2))

@@ -35,7 +35,7 @@ def margin(ratio: float | None = 0.108, target_source: str = "flight") -> dict[s
     return exchanger_margin(wide, demand).row(0, named=True)
 
 
-def test_exchanger_margin_is_what_the_conductance_left_is_worth():
+def test_exchanger_margin_is_what_the_conductance_left_is_worth_beside_its_levels_doubt():
     row = margin()
     assert row["hx_ln_ua_ratio"] == pytest.approx(0.108)
     assert row["hx_margin_k"] == pytest.approx(0.208 / 0.026)
@@ -46,15 +46,9 @@ def test_exchanger_margin_is_what_the_conductance_left_is_worth():
     assert row["hx_margin_wear_k"] == pytest.approx(middle - (1.0 + 2.0 + 4.0 + 8.0))
     assert row["hx_margin_profile_k"] == pytest.approx(8.0 - middle)
     assert row["hx_margin_status"] == "ok"
-
-
-def test_a_level_of_the_packs_other_flights_is_less_well_known():
     row = margin(target_source="pack")
     assert row["hx_margin_sd_k"] == pytest.approx(hypot(0.025 / 0.026, 2.0))
     assert row["hx_margin_status"] == "level_of_pack"
-
-
-def test_a_ratio_or_a_level_that_is_not_known():
     row = margin(ratio=None)
     assert (row["hx_margin_k"], row["hx_margin_wear_k"], row["hx_margin_status"]) == (None, None, "not_known")
     assert margin(target_source="unknown")["hx_margin_sd_k"] is None
@@ -134,28 +128,19 @@ def near_the_limit(short: int, near: int, by_sd: float) -> SpeedLimit:
     return speed_limit(speed, np.concatenate([CALM, lack]))
 
 
-def test_a_quarter_of_the_samples_and_five_lack_four_deviations():
+def test_a_quarter_of_the_samples_and_five_lack_four_deviations_about_their_median():
     assert near_the_limit(5, 20, 4.01).at_limit
     assert not near_the_limit(5, 20, 3.99).at_limit
     assert not near_the_limit(4, 12, 4.01).at_limit
     assert not near_the_limit(5, 21, 4.01).at_limit
-
-
-def test_the_limit_is_the_median_of_what_is_near_it_and_ten_strays_are_passed_over():
     speed = np.concatenate([np.full(1000, 3000.0), [3979.9], np.full(25, 3990.0), np.full(16, 4000.0), [5000.0] * 10])
     lack = np.concatenate([CALM, np.full(42, -0.2), np.zeros(10)])
     assert speed_limit(speed, lack) == SpeedLimit(4000.0, at_limit=True)
     assert speed_limit(speed, 0.0 * lack) == SpeedLimit(4000.0, at_limit=False)
-
-
-def test_fewer_samples_than_strays_tell_nothing():
     speed, beyond = np.arange(1.0, 13.0), np.zeros(12)
     assert speed_limit(speed, beyond) == SpeedLimit(2.0, at_limit=False)
     assert speed_limit(speed[:11], beyond[:11]) == SpeedLimit(1.0, at_limit=False)
     assert speed_limit(speed[:10], beyond[:10]) == SpeedLimit()
-
-
-def test_a_gap_and_a_machine_at_rest_do_not_count():
     speed = np.concatenate([np.arange(1.0, 11.0), [0.0, np.nan, 50.0]])
     beyond = np.concatenate([np.zeros(12), [np.nan]])
     assert speed_limit(speed, beyond) == SpeedLimit()

@@ -64,13 +64,22 @@ def test_group_comes_back_from_the_flow(group, inlet_k, speed):
     assert area_diameter_tan_beta_m3(flow, 37.6e3, inlet_k, speed) == pytest.approx(group, rel=1e-12)
 
 
-def test_equations_2_to_4_written_out_give_the_group_s_flow():
+def test_equations_2_to_4_written_out_give_the_groups_flow_and_the_declared_model():
     area, diameter, beta, rpm = 0.0100, 0.11, np.radians(35.0), 30500.0
     velocity = np.pi * diameter * rpm / 60.0 * np.tan(beta)
     expected = 37.6e3 / (287.05287 * 251.0) * area * velocity
     assert inlet_flow_kg_s(area * diameter * np.tan(beta), 37.6e3, 251.0, rpm * RPM) == pytest.approx(
         expected, rel=1e-12
     )
+    inputs = {"cc_speed_rad_s": 3194.0, "cc_in_k": 251.0, "cc_in_pa": 37.6e3, "vda_counts": 300.0}
+    clean = COMPRESSOR.predict({}, inputs)
+    diameter = effective_diameter_m(37.6e3, clean["cc_out_pa"], 251.0, 3194.0)
+    assert diameter == pytest.approx(expected_diameter_m(300.0, 0.1731, -2.9304e-5), rel=1e-12)
+    assert isentropic_efficiency(37.6e3, clean["cc_out_pa"], 251.0, clean["cc_out_k"]) == pytest.approx(0.75, rel=1e-12)
+    worn = COMPRESSOR.predict({"cc_diameter_loss": 0.1, "cc_efficiency_loss": 0.1}, inputs)
+    smaller = effective_diameter_m(37.6e3, worn["cc_out_pa"], 251.0, 3194.0)
+    assert smaller == pytest.approx(0.9 * diameter, rel=1e-12)
+    assert np.isnan(effective_diameter_m(1.0, 0.9, 250.0, 3000.0))
 
 
 def test_area_diameter_and_angle_cannot_be_told_apart():
@@ -108,31 +117,16 @@ def test_sensitivity_of_the_diameter(what, gain):
     )
 
 
-def test_declared_model_is_the_equations():
-    inputs = {"cc_speed_rad_s": 3194.0, "cc_in_k": 251.0, "cc_in_pa": 37.6e3, "vda_counts": 300.0}
-    clean = COMPRESSOR.predict({}, inputs)
-    diameter = effective_diameter_m(37.6e3, clean["cc_out_pa"], 251.0, 3194.0)
-    assert diameter == pytest.approx(expected_diameter_m(300.0, 0.1731, -2.9304e-5), rel=1e-12)
-    assert isentropic_efficiency(37.6e3, clean["cc_out_pa"], 251.0, clean["cc_out_k"]) == pytest.approx(0.75, rel=1e-12)
-    worn = COMPRESSOR.predict({"cc_diameter_loss": 0.1, "cc_efficiency_loss": 0.1}, inputs)
-    smaller = effective_diameter_m(37.6e3, worn["cc_out_pa"], 251.0, 3194.0)
-    assert smaller == pytest.approx(0.9 * diameter, rel=1e-12)
-
-
-def test_no_diameter_where_the_pressure_falls():
-    assert np.isnan(effective_diameter_m(1.0, 0.9, 250.0, 3000.0))
-
-
-def test_specific_heat_agrees_with_coolprop():
+def test_air_agrees_with_coolprop_and_mach_comes_back_from_its_pressures():
     temperature_k = np.linspace(215.0, 500.0, 20)
     expected = [PropsSI("Cp0mass", "T", t, "P", 1e5, "Air") for t in temperature_k]
     np.testing.assert_allclose(specific_heat_j_kg_k(temperature_k), expected, rtol=4e-4)
-
-
-def test_density_agrees_with_coolprop():
     for pressure_pa, temperature_k in [(26e3, 230.0), (101325.0, 288.15), (250e3, 400.0)]:
         expected = PropsSI("D", "T", temperature_k, "P", pressure_pa, "Air")
         assert air.density_kg_m3(pressure_pa, temperature_k) == pytest.approx(expected, rel=2e-3)
+    mach = np.linspace(0.05, 0.95, 19)
+    np.testing.assert_allclose(air.mach_from_pressures(air.total_to_static_pressure(mach), 1.0), mach, rtol=1e-12)
+    assert air.mach_from_pressures(0.99, 1.0) == 0.0
 
 
 def test_atmosphere_agrees_with_ambiance():
@@ -162,12 +156,6 @@ def test_isentropic_tables(mach, pressure, temperature):
     """NACA Report 1135, table I: static over total."""
     assert 1.0 / air.total_to_static_pressure(mach) == pytest.approx(pressure, abs=5e-5)
     assert 1.0 / air.total_to_static_temperature(mach) == pytest.approx(temperature, abs=5e-5)
-
-
-def test_mach_comes_back_from_its_pressures():
-    mach = np.linspace(0.05, 0.95, 19)
-    np.testing.assert_allclose(air.mach_from_pressures(air.total_to_static_pressure(mach), 1.0), mach, rtol=1e-12)
-    assert air.mach_from_pressures(0.99, 1.0) == 0.0
 
 
 def test_warmed_air_holds_its_heat_to_a_tenth_of_a_billionth_of_a_kelvin():

@@ -22,14 +22,13 @@ ratios = st.floats(0.05, 1.0)
 GRID = [(n, c) for n in (0.05, 0.3, 1.0, 1.5, 2.5, 5.0, 10.0) for c in (0.05, 0.3, 0.7, 1.0)]
 
 
-def test_published_case():
+def test_published_cases_the_exact_integral_and_counterflow_as_ht_has_it():
     assert crossflow_effectiveness(1.5, 1.05) == pytest.approx(0.617790718, abs=5e-10)
-
-
-def test_series_is_the_exact_integral():
     for ntu, ratio in GRID:
         exact = ht.effectiveness_from_NTU(ntu, ratio, subtype="crossflow")
         assert crossflow_effectiveness(ntu, ntu * ratio) == pytest.approx(exact, abs=1e-11)
+    for ntu, ratio in GRID:
+        assert counterflow_effectiveness(ntu, ratio) == pytest.approx(ht.effectiveness_from_NTU(ntu, ratio), rel=1e-12)
 
 
 def by_incomplete_gamma(this, other):
@@ -91,11 +90,6 @@ def test_inverse_takes_few_looks_at_the_exchanger(monkeypatch, fewest, most, loo
     monkeypatch.setattr(effectiveness, "crossflow_effectiveness_and_slope", lambda *a: calls.append(1) or evaluate(*a))
     np.testing.assert_allclose(crossflow_ntu(eps, ratio), ntu, rtol=1e-9)
     assert len(calls) <= looks
-
-
-def test_counterflow_is_ht_s():
-    for ntu, ratio in GRID:
-        assert counterflow_effectiveness(ntu, ratio) == pytest.approx(ht.effectiveness_from_NTU(ntu, ratio), rel=1e-12)
 
 
 @given(transfer_units, ratios)

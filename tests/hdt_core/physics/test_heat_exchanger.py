@@ -85,9 +85,11 @@ def test_films_gain_as_the_properties_of_air():
         assert cold == pytest.approx(film(0.25 * hot_in_k + 0.75 * cold_in_k) / film(285.0), abs=0.01)
 
 
-def test_a_wall_alone_does_not_care_for_flow():
+def test_a_wall_alone_does_not_care_for_flow_and_impossible_temperatures_have_no_conductance():
     wall = LAW | {"hx_hot_share": 1e-12, "hx_wall_share": 1.0 - 2e-12}
     assert clean_conductance_w_k(0.3, 3.0, **wall) == pytest.approx(1500.0, rel=1e-9)
+    assert np.isnan(measured_conductance_w_k(0.9, 1.6, 390.0, 395.0, 250.0))
+    assert np.isnan(measured_conductance_w_k(1.6, 0.9, 390.0, 290.0, 250.0))
 
 
 def test_what_a_loss_does_to_the_outlet():
@@ -95,11 +97,6 @@ def test_what_a_loss_does_to_the_outlet():
     nominal = outlets_k(0.9, 1.6, 390.0, 250.0, 1500.0)[0]
     assert outlets_k(0.9, 1.6, 390.0, 250.0, 1350.0)[0] - nominal == pytest.approx(3.7, abs=0.3)
     assert outlets_k(0.9, 1.6, 390.0, 250.0, 1050.0)[0] - nominal == pytest.approx(13.0, abs=1.0)
-
-
-def test_impossible_temperatures_have_no_conductance():
-    assert np.isnan(measured_conductance_w_k(0.9, 1.6, 390.0, 395.0, 250.0))
-    assert np.isnan(measured_conductance_w_k(1.6, 0.9, 390.0, 290.0, 250.0))
 
 
 def test_design_knowledge_is_that_on_paper():
@@ -210,19 +207,24 @@ CORE = {"hxt_ntu": 1.5, "hxt_exponent": 0.3, "hxt_loss": 0.1}
 LEFT = np.exp(-0.9 * 1.5 * 1.5**0.3)
 
 
-def test_the_outlet_follows_the_airspeed_and_spray_cools_the_air():
+def test_spray_cools_the_air_by_airspeed_and_without_a_term_nothing_changes():
     assert UNMETERED.predict(CORE, INPUTS)["hot_out_k"] == pytest.approx(290.0 + 110.0 * LEFT)
     room_k = TERMS["water_spray"].shape(INPUTS)
     sprayed = SPRAYED.predict(CORE | {"hxt_water_spray": 0.4}, INPUTS)["hot_out_k"]
     assert sprayed == pytest.approx(290.0 - 0.4 * room_k + (110.0 + 0.4 * room_k) * LEFT)
     assert effectiveness(400.0, 345.0, 290.0) == 0.5
-
-
-def test_ram_flux_is_static_density_times_airspeed():
     static_k = 293.15 / (1.0 + 0.2 * 0.24**2)
     density = 94e3 / (1.0 + 0.2 * 0.24**2) ** 3.5 / (287.05287 * static_k)
     airspeed_m_s = 0.24 * np.sqrt(1.4 * 287.05287 * static_k)
     assert ram_flux_kg_s_m2(0.24, 94e3, 293.15) == pytest.approx(density * airspeed_m_s, rel=1e-6)
+    assert correct_signals(TRUTH, {}) == TRUTH
+    assert TERMS["water_spray"].name == "water_spray"
+    with pytest.raises(KeyError):
+        correct_signals(TRUTH, {"unheard_of": 1.0})
+    for temperature_k in (275.0, 290.0, 320.0):
+        assert saturation_pressure_pa(temperature_k) == pytest.approx(
+            PropsSI("P", "T", temperature_k, "Q", 0, "Water"), rel=5e-3
+        )
 
 
 TRUTH = {
@@ -244,20 +246,6 @@ def test_what_sensors_record_is_turned_back(name):
     back = correct_signals(recorded, {name: 0.1})
     for of, values in TRUTH.items():
         np.testing.assert_allclose(back[of], values, rtol=1e-12)
-
-
-def test_without_a_term_nothing_changes():
-    assert correct_signals(TRUTH, {}) == TRUTH
-    assert TERMS["water_spray"].name == "water_spray"
-    with pytest.raises(KeyError):
-        correct_signals(TRUTH, {"unheard_of": 1.0})
-
-
-def test_vapour_pressure_is_water_s():
-    for temperature_k in (275.0, 290.0, 320.0):
-        assert saturation_pressure_pa(temperature_k) == pytest.approx(
-            PropsSI("P", "T", temperature_k, "Q", 0, "Water"), rel=5e-3
-        )
 
 
 def test_shapes_and_bounds_on_paper():

@@ -47,12 +47,9 @@ def test_van_der_pol_at_a_hundredth_of_a_second(solver, error):
         assert np.abs(positions - truth(1.0, 2001, 0.01)).max() > 0.02  # by name only, and this is why
 
 
-def test_a_stiff_oscillator_goes_to_an_implicit_method():
+def test_a_stiff_oscillator_goes_to_an_implicit_method_and_a_member_that_explodes_alone():
     positions = van_der_pol(mu=1000.0).simulate({}, {}, 100.0, n_samples=6)["seen"]
     np.testing.assert_allclose(positions, truth(1000.0, 6, 100.0), atol=1e-5)
-
-
-def test_a_member_that_explodes_leaves_the_others_alone():
     start = np.array([[1.0, 1.0, np.nan]])
     later = advance_states(
         lambda x: np.array([[0.0, 1.0, 0.0]]) * x**2 - x * np.array([[1.0, 0.0, 1.0]]), start, 2.0, "adaptive"

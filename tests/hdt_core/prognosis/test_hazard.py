@@ -36,8 +36,22 @@ from hdt_core.prognosis.recalibrate import HazardCorrection, learn_correction, l
 SPAN_ENDS = [5, 10, 15, 20, 30, 40, 50, 65, 80, 100, 125, 150, 175, 200, 250, 300]
 
 
-def test_spans_are_as_told():
+def test_spans_quantiles_and_positions_are_linear_between_edges_and_undo_each_other():
     assert EDGES.tolist() == [0, *SPAN_ENDS]
+    hazard = np.full((1, SPANS), 0.1)
+    np.testing.assert_allclose(event_by(hazard)[0], 1.0 - 0.9 ** np.arange(SPANS + 1))
+    np.testing.assert_allclose(with_span(np.array([[7.0]]), np.array([2])), [[7.0, 15.0]])
+    by = np.array([[0.0, 0.2, 0.4, *[0.8] * 14]])
+    assert quantile(by, 0.1)[0] == pytest.approx(2.5, rel=1e-6)
+    assert quantile(by, 0.3)[0] == pytest.approx(7.5, rel=1e-6)
+    assert quantile(by, 0.9)[0] == 300.0
+    assert quantile(np.zeros((1, 17)) + 0.5, 0.1)[0] == 0.0
+    for left, at in ((0.0, 0.0), (2.5, 0.1), (5.0, 0.2), (7.5, 0.3), (12.5, 0.6), (400.0, 0.8)):
+        assert position(by, np.array([left]))[0] == pytest.approx(at)
+    by = event_by(np.random.default_rng(0).uniform(0.01, 0.4, (50, SPANS)))
+    at = quantile(by, 0.3)
+    inside = by[:, -1] > 0.3
+    np.testing.assert_allclose(position(by, at)[inside], 0.3, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -57,22 +71,6 @@ def test_a_row_is_at_risk_until_its_event_or_its_cut(left, failed, exposure, hit
     assert span.tolist() == list(range(len(exposure)))
     np.testing.assert_allclose(weight, exposure)
     assert np.flatnonzero(hits).tolist() == ([] if hit is None else [hit])
-
-
-def test_the_event_has_come_by_a_span_unless_all_were_survived():
-    hazard = np.full((1, SPANS), 0.1)
-    np.testing.assert_allclose(event_by(hazard)[0], 1.0 - 0.9 ** np.arange(SPANS + 1))
-    np.testing.assert_allclose(with_span(np.array([[7.0]]), np.array([2])), [[7.0, 15.0]])
-
-
-def test_quantile_and_position_are_linear_between_edges():
-    by = np.array([[0.0, 0.2, 0.4, *[0.8] * 14]])
-    assert quantile(by, 0.1)[0] == pytest.approx(2.5, rel=1e-6)
-    assert quantile(by, 0.3)[0] == pytest.approx(7.5, rel=1e-6)
-    assert quantile(by, 0.9)[0] == 300.0
-    assert quantile(np.zeros((1, 17)) + 0.5, 0.1)[0] == 0.0
-    for left, at in ((0.0, 0.0), (2.5, 0.1), (5.0, 0.2), (7.5, 0.3), (12.5, 0.6), (400.0, 0.8)):
-        assert position(by, np.array([left]))[0] == pytest.approx(at)
 
 
 @pytest.fixture(scope="module")
@@ -248,13 +246,6 @@ def test_where_units_leave_for_other_reasons_lives_are_weighed_by_the_chance_to_
         life_bounds([1.0, 2.0], [False, False])
 
 
-def test_position_undoes_quantile():
-    by = event_by(np.random.default_rng(0).uniform(0.01, 0.4, (50, SPANS)))
-    at = quantile(by, 0.3)
-    inside = by[:, -1] > 0.3
-    np.testing.assert_allclose(position(by, at)[inside], 0.3, atol=1e-6)
-
-
 def test_learned_hazard_recovers_a_known_one_in_spite_of_censoring():
     rng = np.random.default_rng(1)
     rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 8000))
@@ -274,31 +265,19 @@ def test_trees_asked_once_a_cut_say_what_each_row_and_span_asked_alone_says():
     assert np.array_equal(_by_tree(model, features, EDGES[1:]), _row_by_row(model, features, EDGES[1:]))
 
 
-def test_interval_score_is_proper():
+def test_scores_are_proper_count_pairs_and_give_base_rates_no_skill():
     truth = np.random.default_rng(0).standard_normal(20000)
     honest = interval_score(truth, np.full_like(truth, -1.645), np.full_like(truth, 1.645)).mean()
     for half in (0.8, 1.2, 2.2, 3.0):
         assert interval_score(truth, np.full_like(truth, -half), np.full_like(truth, half)).mean() > honest
     assert constant_interval_score(truth) == pytest.approx(honest, rel=0.01)
-
-
-def test_base_rate_has_no_skill_and_certainty_has_all():
     y = np.array([1.0, 0.0, 0.0, 0.0])
     assert brier_skill(y, np.full(4, 0.25)) == pytest.approx(0.0)
     assert brier_skill(y, y) == 1.0
-
-
-def test_auc_counts_pairs():
     assert auc([1, 1, 0, 0], [0.9, 0.4, 0.5, 0.1]) == 0.75
     assert auc([1, 0], [0.5, 0.5]) == 0.5
-
-
-def test_alpha_lambda():
     truth, forecast = np.array([100.0, 50.0, 10.0, 1.0]), np.array([150.0, 55.0, 11.0, 1.0])
     assert alpha_lambda(truth, forecast) == 0.75
-
-
-def test_calibration_of_honest_probabilities():
     rng = np.random.default_rng(1)
     p = rng.random(50000)
     table = calibration(rng.random(50000) < p, p)

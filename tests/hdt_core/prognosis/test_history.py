@@ -63,12 +63,19 @@ def test_jumps_peaks_and_entry():
     assert entry.tolist() == pytest.approx([0.0, 0.01, 0.02, 0.03, 0.04, *[0.02] * 5])
 
 
-def test_roughness_is_the_rms_of_changes_over_thirty_flights():
+def test_age_season_and_roughness_over_thirty_flights():
     level = np.cumsum(0.01 * np.random.default_rng(1).standard_normal(60))
     change = np.r_[0.0, np.diff(level)]
     values = record(level)["roughness"]
     assert values[59] == pytest.approx(np.sqrt(np.mean(change[30:60] ** 2)))
     assert values[9] == pytest.approx(np.sqrt(np.mean(change[:10] ** 2)))
+    values = record(WAVY, day=np.linspace(1.0, 365.25, 120))
+    assert values["season_sin"][0] == pytest.approx(np.sin(2.0 * np.pi / 365.25))
+    assert values["season_cos"][119] == pytest.approx(1.0)
+    assert values["age_flights"][4] == 7.0
+    assert values["seen_flights"][4] == 5.0
+    assert values["level_sd"][4] == 0.02
+    assert values["ratio"][4] == -0.1
 
 
 def test_what_flights_showed_is_averaged_over_the_last_ten_and_forty():
@@ -89,16 +96,6 @@ def test_what_flights_showed_is_averaged_over_the_last_ten_and_forty():
     once = record(np.zeros(80), overheat_k=np.where(np.arange(80) == 30, 9.0, 1.0))
     assert once["overheat_most_40"][[69, 70]].tolist() == [9.0, 1.0]
     assert np.isnan(record(np.zeros(3), overheat_k=np.full(3, np.nan))["overheat_10"]).all()
-
-
-def test_age_season_and_what_is_handed_on():
-    values = record(WAVY, day=np.linspace(1.0, 365.25, 120))
-    assert values["season_sin"][0] == pytest.approx(np.sin(2.0 * np.pi / 365.25))
-    assert values["season_cos"][119] == pytest.approx(1.0)
-    assert values["age_flights"][4] == 7.0
-    assert values["seen_flights"][4] == 5.0
-    assert values["level_sd"][4] == 0.02
-    assert values["ratio"][4] == -0.1
 
 
 def rows(level: np.ndarray, demand: float, ratio: float, flight: int) -> dict[str, float]:
@@ -126,13 +123,22 @@ def test_the_physical_forecast_takes_the_rate_of_the_last_hundred_flights(flight
         assert values[f"left_linear_{name}"] == pytest.approx(want, rel=1e-9)
 
 
-def test_a_reserve_lasts_between_none_and_a_thousand_flights():
+def test_what_is_asked_beyond_what_is_left_is_a_message_soon_and_a_reserve_ends_at_a_thousand():
     rising = 0.1 + 1e-3 * np.arange(50)
     assert rows(rising, -0.1, -0.2, 49)["left_linear_30"] == 0.0
     assert rows(np.full(50, 0.1), -0.5, -0.2, 49)["left_linear_30"] == 1000.0
     assert rows(rising * 1e-2, -0.5, -0.2, 49)["left_linear_30"] == 1000.0
     worn = 0.85 + 1e-3 * np.arange(50)  # what is left counts as a fifth at least
     assert rows(worn, -0.5, -0.2, 49)["left_linear_30"] == pytest.approx(0.3 / (1e-3 / 0.2))
+    level = np.broadcast_to(0.1 + 0.002 * np.arange(150.0), (1, 150))
+    safe, failing = (features(level, np.full((1, 150), np.log(share))) for share in (0.2, 0.9))
+    assert safe["passage_50"][0, 140] < 0.01
+    assert failing["passage_50"][0, 140] > 0.99
+    assert failing["passage_median"][0, 140] < 10.0 < safe["passage_median"][0, 140]
+    signs = dict(zip(FEATURES, RISES, strict=True))
+    assert signs["reserve_95"] == signs["left_linear_30"] == signs["passage_median"] == -1
+    assert signs["passage_100"] == signs["overheat_40"] == signs["hot_share_40"] == 1
+    assert signs["level"] == signs["slope_30"] == 0
 
 
 NAMES = {name: i for i, name in enumerate(FEATURES)}
@@ -163,21 +169,6 @@ def test_nothing_from_the_future(cut):
     whole, early = features(level), features(level[:, :cut])
     for name in FEATURES:
         np.testing.assert_allclose(whole[name][:, :cut], early[name], atol=1e-9, err_msg=name)
-
-
-def test_what_is_asked_beyond_what_is_left_is_a_message_soon():
-    level = np.broadcast_to(0.1 + 0.002 * np.arange(150.0), (1, 150))
-    safe, failing = (features(level, np.full((1, 150), np.log(share))) for share in (0.2, 0.9))
-    assert safe["passage_50"][0, 140] < 0.01
-    assert failing["passage_50"][0, 140] > 0.99
-    assert failing["passage_median"][0, 140] < 10.0 < safe["passage_median"][0, 140]
-
-
-def test_the_hazard_may_only_follow_physics_where_physics_says_how():
-    signs = dict(zip(FEATURES, RISES, strict=True))
-    assert signs["reserve_95"] == signs["left_linear_30"] == signs["passage_median"] == -1
-    assert signs["passage_100"] == signs["overheat_40"] == signs["hot_share_40"] == 1
-    assert signs["level"] == signs["slope_30"] == 0
 
 
 def test_what_a_unit_shows_does_not_hang_on_who_flies_beside_it():

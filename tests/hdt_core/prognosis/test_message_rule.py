@@ -109,16 +109,19 @@ def landmarks(n: int, rate: float) -> tuple[np.ndarray, ...]:
     return left, np.ones(left.size, bool), life
 
 
-def test_no_failure_no_correction():
+def test_no_failure_no_correction_and_a_stored_one_with_fewer_terms_stands():
     hazard = np.full((30, SPANS), 0.1)
     done = learn_correction(hazard, np.zeros(30), np.full(30, 400.0), np.zeros(30, bool), np.arange(30))
     assert done == HazardCorrection()
     none = np.empty(0)
     levels = learn_levels(event_by(hazard)[:0], none, np.empty(0, bool), np.empty(0, int), (0.04, 0.5, 0.96))
     assert levels == (0.04, 0.5, 0.96)
+    hazard, reserve = np.linspace(0.01, 0.4, 3 * SPANS).reshape(3, SPANS), np.array([-0.1, 0.1, np.nan])
+    corrected = HazardCorrection((0.1, -0.2, 0.3))(hazard, reserve)
+    np.testing.assert_array_equal(corrected, HazardCorrection((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
 
 
-def test_levels_of_a_right_distribution_are_the_nominal_ones_in_spite_of_censoring():
+def test_levels_are_nominal_under_censoring_and_lower_where_a_distribution_comes_too_late():
     rng = np.random.default_rng(3)
     death, cut = rng.exponential(120.0, 4000), rng.uniform(0.0, 250.0, 4000)
     by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (4000, SPANS + 1))
@@ -126,9 +129,6 @@ def test_levels_of_a_right_distribution_are_the_nominal_ones_in_spite_of_censori
     assert low == pytest.approx(0.05, abs=0.01)
     assert middle == pytest.approx(0.5, abs=0.03)
     assert high > 0.85  # nothing was seen beyond the cuts: as far as the lives reach
-
-
-def test_levels_of_a_distribution_that_comes_too_late_are_lower():
     rng = np.random.default_rng(4)
     death = rng.exponential(60.0, 2000)
     by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (2000, SPANS + 1))
@@ -172,22 +172,13 @@ def test_a_base_that_tells_units_too_little_apart_far_ahead_is_found_out(flatten
     np.testing.assert_allclose(alone[:, ~late], base[:2, ~late])
 
 
-def test_a_correction_that_was_stored_with_fewer_terms_says_what_it_said():
-    hazard, reserve = np.linspace(0.01, 0.4, 3 * SPANS).reshape(3, SPANS), np.array([-0.1, 0.1, np.nan])
-    corrected = HazardCorrection((0.1, -0.2, 0.3))(hazard, reserve)
-    np.testing.assert_array_equal(corrected, HazardCorrection((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
-
-
-def test_limit_moves_from_the_prior_to_the_messages():
+def test_a_limit_moves_from_the_prior_to_the_messages_and_a_clog_moves_it_little():
     prior = CC.limit
     assert learn_limit(np.empty(0), prior) == prior
     few, many = learn_limit(np.full(1, 0.15), prior), learn_limit(np.full(30, 0.15), prior)
     assert 0.15 < few.mean < prior.mean
     assert many.mean == pytest.approx(0.15, abs=0.01)
     assert many.sd < few.sd < prior.sd
-
-
-def test_a_clog_does_not_pull_the_limit_far():
     levels = np.array([0.25, 0.26, 0.24, 0.25])
     clean, clogged = learn_limit(levels, CC.limit), learn_limit(np.append(levels, 0.65), CC.limit)
     assert abs(clogged.mean - clean.mean) < 0.03

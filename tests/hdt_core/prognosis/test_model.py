@@ -73,7 +73,7 @@ def test_every_flight_has_its_rows_for_both_components(fitted):
     assert prognoses.filter(pl.col("component") == "CC")["rul_flights"].is_null().all()
 
 
-def test_nothing_from_the_future(fitted):
+def test_nothing_from_the_future_is_in_rows_or_told_to_the_learner(fitted):
     features, lives, model = fitted
     cut = features["departed_at"].sort()[features.height // 2]
     early = features.filter(pl.col("departed_at") <= cut)
@@ -83,9 +83,6 @@ def test_nothing_from_the_future(fitted):
     for name in ("rul_flights", "rul_low", "rul_high", "p_event_50"):
         left, right = (f.sort(keys)[name].to_numpy() for f in (now, then))
         np.testing.assert_allclose(left, right, atol=1e-9)
-
-
-def test_what_is_told_to_the_learner_holds_no_later_flight(fitted):
     features, lives, _ = fitted
     cut = features["departed_at"].sort()[features.height // 2]
     early, whole = (tracks(f, lives, "HX") for f in (features.filter(pl.col("departed_at") <= cut), features))
@@ -114,7 +111,7 @@ def test_without_a_single_failure_it_still_speaks(fleet, base):
     assert scores["mae_flights"] < 60.0
 
 
-def test_stored_parts_give_the_same_model_and_hold_nothing_of_ours(fitted):
+def test_stored_parts_give_the_same_model_as_older_homes_and_the_same_arguments(fitted):
     features, lives, model = fitted
     sio = pytest.importorskip("skops.io")
     blob = sio.dumps(to_parts(model))
@@ -123,16 +120,10 @@ def test_stored_parts_give_the_same_model_and_hold_nothing_of_ours(fitted):
     again = with_fits(base, json.loads(json.dumps(fits_to_json(model))))
     head = features.filter(pl.col("tail") == "LX-T00")
     assert predict_prognosis(again, head, lives).equals(predict_prognosis(model, head, lives))
-
-
-def test_what_a_fleet_taught_is_read_as_older_homes_kept_it(fitted):
     model = fitted[2]
     older = json.dumps(fits_to_json(model)).replace('"rule": ', '"says": ')
     assert '"rule"' not in older
     assert with_fits(model, json.loads(older)).fits == model.fits
-
-
-def test_same_arguments_same_model(fitted):
     features, lives, model = fitted
     assert fit_prognosis(features, lives, base=shipped_base()).version == model.version
 

@@ -198,12 +198,18 @@ def flat(chance: float, columns: int = 3) -> SimpleNamespace:
     )  # fmt: skip
 
 
-def test_two_bases_are_one_where_hazards_and_levels_agree():
+def test_two_bases_are_one_where_hazards_and_levels_agree_asked_in_parts(monkeypatch):
     one = Prognosis((flat(0.1), flat(0.2)), (0.05, 0.5, 0.95))
     assert same_base(one, Prognosis((flat(0.1), flat(0.2)), (0.05, 0.5, 0.95)))
     for other in (Prognosis((flat(0.1), flat(0.21)), one.base_levels), Prognosis((flat(0.1),), one.base_levels),
                   Prognosis(one.hazard, (0.05, 0.5, 0.94))):  # fmt: skip
         assert not same_base(one, other)
+    monkeypatch.setattr(hazard, "probabilities", lambda m, x, spans: m * x[:, :1] / spans)
+    rows = np.linspace(0.1, 1.0, 11)[:, None]
+    whole = hazards([1.0, 3.0], rows)
+    np.testing.assert_allclose(whole, 2.0 * rows / EDGES[1:])
+    monkeypatch.setattr(hazard, "ROWS_AT_ONCE", 4)
+    np.testing.assert_array_equal(hazards([1.0, 3.0], rows), whole)
 
 
 def test_a_version_is_a_digest_of_all_that_was_learned():
@@ -228,15 +234,6 @@ def test_a_version_is_a_digest_of_all_that_was_learned():
     frame = pl.DataFrame({"departed_at": [datetime(2024, 1, 31, 23, tzinfo=UTC), datetime(2024, 2, 1, tzinfo=UTC)]})
     at = {date(2024, 1, 1): replace(base, version="j"), FEBRUARY: replace(base, version="f")}
     assert frame.select(_version_of(at)).to_series().to_list() == ["j", "f"]
-
-
-def test_hazards_of_many_rows_are_asked_in_parts(monkeypatch):
-    monkeypatch.setattr(hazard, "probabilities", lambda m, x, spans: m * x[:, :1] / spans)
-    rows = np.linspace(0.1, 1.0, 11)[:, None]
-    whole = hazards([1.0, 3.0], rows)
-    np.testing.assert_allclose(whole, 2.0 * rows / EDGES[1:])
-    monkeypatch.setattr(hazard, "ROWS_AT_ONCE", 4)
-    np.testing.assert_array_equal(hazards([1.0, 3.0], rows), whole)
 
 
 def test_a_first_passage_is_spread_between_its_horizons():

@@ -62,10 +62,12 @@ def test_a_message_ends_a_life_that_is_replaced_within_twenty_flights(flight, fa
     assert second == (60, 100, False, False, True)
 
 
-def test_the_first_of_several_messages_ends_it_and_another_code_does_not():
+def test_the_first_of_several_messages_ends_a_life_and_tenths_are_tenths():
     several = pl.concat([faults_on((45, HX_CODE)), faults_on((50, HX_CODE)), faults_on((42, CC_CODE))])
     assert lived(several, log(CHANGED))[0] == (0, 45, True, True, False)
     assert lived(faults_on((45, HX_CODE)), log((59, "HX", "CLEANED", "FOULED"))) == [(0, 100, False, False, False)]
+    table = calibration([0, 1, 1, 0, 1], [0.05, 0.1, 0.19, 1.0, 0.96])
+    assert table.rows() == [(0.05, 0.0, 1), (pytest.approx(0.145), 1.0, 2), (0.98, 0.5, 2)]
 
 
 @pytest.mark.parametrize(("days", "failed"), [(0, True), (1, False), (3, False), (4, True)])
@@ -131,11 +133,6 @@ def test_scores_by_hand():
         "interval_skill": 1.0 - score / constant, "coverage_last_100": 1.0, "alpha_lambda_20": 1.0,
         "brier": (0.16 + 0.04 + 0.01) / 4.0, "brier_skill": 1.0 - (0.21 / 4.0) / (0.25 * 0.75), "auc": 1.0,
     })  # fmt: skip
-
-
-def test_tenths_of_the_probability_scale():
-    table = calibration([0, 1, 1, 0, 1], [0.05, 0.1, 0.19, 1.0, 0.96])
-    assert table.rows() == [(0.05, 0.0, 1), (pytest.approx(0.145), 1.0, 2), (0.98, 0.5, 2)]
 
 
 CC = components()["CC"]

@@ -49,21 +49,20 @@ def units(hours: list[float], log: pl.DataFrame) -> list[int]:
     return number_units(flown(hours), log)["unit"].to_list()
 
 
-def test_a_day_counts_from_its_end_and_a_time_from_itself():
+def test_a_day_counts_from_its_end_and_only_another_unit_of_that_component():
     hours = [2.0, 8.0, 23.9, 24.0, 30.0]
     assert units(hours, work((0, None))) == [0, 0, 0, 1, 1]
     assert units(hours, work((0, 8.0))) == [0, 1, 1, 1, 1]
     assert units(hours, work((0, 8.1))) == [0, 0, 1, 1, 1]
     assert units(hours, work((0, None)).drop("done_at")) == [0, 0, 0, 1, 1]
-
-
-def test_only_another_unit_of_that_component_counts():
     hours = [2.0, 30.0]
     assert units(hours, work((0, None), component="CC")) == [0, 0]
     assert units(hours, work((0, None), action="CLEANED")) == [0, 0]
     assert units(hours, pl.concat([work((0, None)), work((0, None))])) == [0, 1], "one job on two work orders"
     assert units(hours, work((0, None), (0, 10.0))) == [0, 2], "two entries of different moments are two jobs"
     assert units(hours, work((0, None)).with_columns(pack=pl.lit(None, pl.Int32))) == [0, 0]
+    assert first_flights(flown([1.0, 2.0]), work((0, None)), ("HX",)).height == 0
+    assert first_flights(flown([1.0, 2.0]), work((0, 1.5)), ("HX",))["departed_at"].item().hour == 2
 
 
 def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
@@ -107,11 +106,6 @@ def test_lives_and_figure_cut_where_the_twin_does():
     )
     _, rows = around_replacement(share, log)
     assert rows.filter(n=0)["flight_id"].to_list() == [flights["flight_id"][164]]
-
-
-def test_first_flight_after_work_is_none_where_none_has_flown():
-    assert first_flights(flown([1.0, 2.0]), work((0, None)), ("HX",)).height == 0
-    assert first_flights(flown([1.0, 2.0]), work((0, 1.5)), ("HX",))["departed_at"].item().hour == 2
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ def test_same_seed_same_fleet_and_parts_do_not_depend_on_size(fleet):
     assert not next(iter(simulate_fleet(12, SIZE))).snapshots.equals(fleet[0].snapshots)
 
 
-def test_layout_is_the_contracts(fleet):
+def test_the_layout_is_the_contracts_and_truth_has_every_flight(fleet):
     for aircraft in fleet:
         columns = ["flight_id", "report_time", "phase_code", "pack", *SENSORS]
         assert set(aircraft.snapshots.columns) <= set(columns)
@@ -40,14 +40,12 @@ def test_layout_is_the_contracts(fleet):
         assert aircraft.snapshots["flight_id"].str.contains(r"^[A-Z0-9-]{2,10}_\d{8}_\d{2}$").all()
         assert not aircraft.snapshots.select(pl.selectors.float().is_nan().any()).row(0)[0]
         assert sum(part.height for part in by_month(aircraft.snapshots).values()) == aircraft.snapshots.height
-
-
-def test_truth_has_every_flight_and_only_arrived_ones_are_recorded(fleet):
     for aircraft in fleet:
         assert aircraft.health.height == 2 * SIZE.flights
         arrived = set(aircraft.health.filter("arrived")["flight_id"])
         assert set(aircraft.snapshots["flight_id"]) == arrived
         assert aircraft.health.sort("index")["departed_at"].is_sorted()
+    assert {"eq6_intercept_m", "eq6_slope_m_per_count"} <= set(design_truth(11)["parameter"])
 
 
 def test_a_sound_pack_loses_as_much_heat_as_the_ram_air_wins():
@@ -141,10 +139,6 @@ def test_one_hz_log_is_smooth_and_its_core_lags(fleet):
     assert (cruise - cruise.median()).abs().median() < 40.0
 
 
-def test_design_truth_names_what_the_contract_scores():
-    assert {"eq6_intercept_m", "eq6_slope_m_per_count"} <= set(design_truth(11)["parameter"])
-
-
 SMALL = EpisodeSettings(aircraft=40, flights=400)
 
 
@@ -169,22 +163,16 @@ def test_lives_end_where_flights_ask_for_more_than_is_left():
     assert (lives.ratio[ended, lives.message[ended]] < demand + 0.06).all()
 
 
-def test_hazard_rises_with_loss():
+def test_hazard_rises_with_loss_noise_is_as_asked_and_washed_units_wear_less():
     lives = draw_episodes(2, SMALL)
     left, failed = lives.remaining()
     at = (left >= 0) & failed
     soon = [(left[at & (lives.loss >= a) & (lives.loss < a + 0.1)] < 30).mean() for a in (0.0, 0.1, 0.2)]
     assert (np.diff(soon) > 0).all()
-
-
-def test_noise_is_what_was_asked_for():
     quiet = replace(SMALL, noise_sd=1e-9, drift_sd=0.0, offset_sd=0.02, wash_share=0.0)
     lives = draw_episodes(3, quiet)
     offset = (lives.estimated_loss - lives.loss)[lives.age_known, 0]
     assert offset.std() == pytest.approx(0.01, rel=0.25)
-
-
-def test_washed_units_wear_less():
     washed = draw_episodes(4, replace(SMALL, wash_share=1.0, wash_every_flights=100.0))
     never = draw_episodes(4, replace(SMALL, wash_share=0.0))
     assert washed.loss[:, -1].mean() < 0.7 * never.loss[:, -1].mean()
@@ -223,18 +211,12 @@ def test_shapes_bend_the_way_their_names_say(shape, sign):
     assert np.mean(sign * (second - first)[worn] > 0) > 0.95
 
 
-def test_nominal_life_ends_at_the_reference_loss():
+def test_same_state_same_lives_that_end_at_the_reference_loss_and_clog_at_their_rate():
     loss = population("linear", life_log_sd=0.0, life_median_flights=400.0)
     assert np.median(loss[:, 400]) == pytest.approx(0.42, rel=0.02)
-
-
-def test_clogs_come_at_their_rate():
     settings = WearSettings(life_median_flights=1e9, clog_rate=1 / 1000, shape_shares=(1.0, 0, 0, 0, 0))
     clog = draw_wear(np.random.default_rng(0), np.zeros(400), 500, settings).clog
     started = (np.diff(clog, axis=1) > 0.015).sum() / 3
     assert started == pytest.approx(200, rel=0.25)
-
-
-def test_same_generator_state_same_lives():
     one, two = (draw_wear(np.random.default_rng(5), np.zeros(5), 50, WearSettings()).loss for _ in range(2))
     np.testing.assert_array_equal(one, two)

@@ -77,7 +77,7 @@ def test_another_estimator_says_the_same(samples, flights):
     np.testing.assert_allclose(other["hx_fouling"], flights["hx_fouling"][:10], atol=2e-3)
 
 
-def test_filtering_steadies_and_looks_at_nothing_to_come(flights):
+def test_filtering_steadies_looks_at_nothing_to_come_and_a_smoothed_loss_lies_nearer(flights):
     track = tracked(flights)
     rough, smooth = (np.abs(f.to_numpy() - LOSS)[5:30].std() for f in (flights["hx_fouling"], track["value"]))
     assert smooth < 0.8 * rough
@@ -85,9 +85,6 @@ def test_filtering_steadies_and_looks_at_nothing_to_come(flights):
     # the scatter of flights is learned from all that were given; the path itself is causal
     np.testing.assert_allclose(early["value"], track["value"][:60], atol=5e-3)
     assert track["sd"].max() < 0.05
-
-
-def test_a_smoothed_loss_stands_beside_and_lies_nearer(flights):
     smoothed = both_tracks(flights).filter(parameter="hx_fouling_smoothed")
     assert smoothed.select("estimator", "status").unique().rows() == [("kalman_smoothed", "ok")]
     filtered = tracked(flights)
@@ -117,14 +114,11 @@ def test_what_the_twin_explains_and_what_is_left(samples, flights):
     assert np.abs(by_kind["sensor_minus_twin"]).max() < 1.0
 
 
-def test_samples_that_determine_no_design_are_said_to():
+def test_samples_that_leave_a_design_open_are_said_to():
     still = flown(0.5).head(SAMPLES)
     constant = [pl.col(s.name).first() for s in HEAT_EXCHANGER.inputs]
     with pytest.raises(ValueError, match=r"heat_exchanger: .* from 12 nominal samples: not_identifiable"):
         calibrate_component(HEAT_EXCHANGER, still.with_columns(constant))
-
-
-def test_a_design_that_nominal_samples_leave_open_is_named():
     narrow = flown(0.0).filter(pl.col("flight_id") < "T-00_010")
     middle = {s: narrow[s].mean() for s in ("hot_flow_kg_s", "ram_flow_kg_s")}
     calm = narrow.with_columns(*(((pl.col(s) - m) * 0.02 + m).alias(s) for s, m in middle.items()))
@@ -205,27 +199,18 @@ def accuracy_pct(rows: pl.DataFrame) -> float:
     return 100.0 * float((predicted == y).mean())
 
 
-def test_every_cycle_of_the_rig_has_an_answer(rig):
+def test_conductance_is_what_the_owners_of_the_rig_set_on_every_cycle(rig):
     assert rig["flights"].height == 2205
     assert set(rig["flights"]["status"]) == {"converged"}
     assert rig["fit"].status == "converged"
-
-
-def test_nominal_cycles_are_those_of_the_rules_less_outliers(rig):
     assert (rig["cycles"]["steady"].sum(), rig["ruled"].height, rig["nominal"].height) == (2165, 489, 487)
-
-
-def test_conductance_is_what_the_owners_of_the_rig_set(rig):
-    """Near 174, 83 and 54 W/K, from four channels by hand; within a tenth, and in order."""
+    # Near 174, 83 and 54 W/K, from four channels by hand; within a tenth, and in order.
     ua = dict(rig["settled"].group_by("cooler_pct").agg(pl.col("ua_w_k").median()).rows())
     assert ua == pytest.approx({100: 174.0, 20: 83.0, 3: 54.0}, rel=0.1)
     assert ua == pytest.approx({100: 173.8, 20: 84.2, 3: 51.1}, abs=0.05)
     assert rig["dsm"].nominal["hc_ua_w_k"] == pytest.approx(174.0, abs=0.05)
     loss = dict(rig["settled"].group_by("cooler_pct").agg(pl.col("hc_fouling").median()).rows())
     assert loss == pytest.approx({100: 0.001, 20: 0.516, 3: 0.706}, abs=5e-4)
-
-
-def test_the_cooler_setting_follows_from_conductance_alone(rig):
     assert rig["cycles"].height == 2205
     assert rig["settled"].height == 1449
     assert accuracy_pct(rig["cycles"]) == pytest.approx(99.77, abs=0.005)

@@ -200,7 +200,7 @@ def run_component(signals: pl.DataFrame, component) -> tuple[pl.DataFrame, pl.Da
     return design, health, component_readings(samples, component)
 
 
-def test_few_flights_leave_the_prior_as_it_is_and_say_so():
+def test_few_flights_and_effectiveness_above_one_leave_the_prior():
     few = [run_component(flown([0.0] * n, spray=0.0), COOLER) for n in (1, 9)]
     for design, health, _ in few:
         assert design["n_flights"].unique().to_list() == [0]
@@ -209,9 +209,6 @@ def test_few_flights_leave_the_prior_as_it_is_and_say_so():
         assert health["value"].abs().max() < COOLER.warn_loss
     one, nine = (health["sd"][-1] for _, health, _ in few)
     assert 0.8 * one < nine < COOLER.warn_loss  # what they share does not average out
-
-
-def test_an_effectiveness_above_one_is_no_news_of_the_part():
     _, health, readings = run_component(flown([0.0, 0.0]), COOLER)
     status = dict(readings.filter(flight_id="T-1_20240101_01").select("parameter", "status").rows())
     assert status["hxt_effectiveness"] == status["hxt_effectiveness_fast"] == "one_or_more"

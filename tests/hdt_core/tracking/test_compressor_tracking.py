@@ -124,16 +124,13 @@ def test_a_loss_begins_with_the_first_flight_that_shows_it(machine, loss):
     assert filtered["value"][3] < 0.03  # a flight far off is more likely a bad flight than a bad machine
 
 
-def test_each_pack_is_filtered_by_itself(machine):
+def test_each_pack_is_filtered_by_itself_and_an_exchangers_replacement_is_no_compressors(machine):
     two = pl.concat([machine, machine.with_columns(pack=pl.lit(2, pl.Int32))])
     both, alone = track(two, log()), track(machine, log())
     assert both.height == 2 * alone.height
     for name in LOSSES:
         assert parameter(both.filter(pack=2), name).drop("pack").equals(parameter(alone, name).drop("pack"))
     assert track(two.clear(), log()).is_empty()
-
-
-def test_an_exchangers_replacement_is_no_compressors(machine):
     with_log, without = (track(machine, entries) for entries in (log(("T-1", 1, "HX", "REPLACED", 9)), log()))
     assert with_log.equals(without)
 

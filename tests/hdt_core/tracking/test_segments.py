@@ -52,23 +52,20 @@ def test_nights_add_up_to_one_pass(three, log, model, whole, days):
     assert same(track(three, log, model, early), whole)
 
 
-def test_a_flight_that_came_late_changes_what_follows_it(three, log, model, whole):
+def test_a_flight_that_came_late_changes_what_follows_it_and_nobody_beside(three, log, model, whole):
     without = three.filter(~((pl.col("tail") == "S-0") & pl.col("flight_id").is_in([three["flight_id"][222]])))
     assert without.height == three.height - 1
     assert same(track(three, log, model, track(without, log, model)), whole)
+    for (tail,), own in three.group_by("tail"):
+        alone = track(own, log, model)
+        assert alone.health.equals(whole.health.filter(tail=tail))
+        assert alone.checkpoints.equals(whole.checkpoints.filter(tail=tail))
 
 
 def test_an_entry_that_came_late_counts(three, log, model, whole):
     before = track(three, NO_LOG, model)
     assert not same(before, whole)
     assert same(track(three, log, model, before), whole)
-
-
-def test_who_flies_beside_does_not_matter(three, log, model, whole):
-    for (tail,), own in three.group_by("tail"):
-        alone = track(own, log, model)
-        assert alone.health.equals(whole.health.filter(tail=tail))
-        assert alone.checkpoints.equals(whole.checkpoints.filter(tail=tail))
 
 
 def test_the_literal_recursion_says_the_same_to_the_last_digit(three, log, model):

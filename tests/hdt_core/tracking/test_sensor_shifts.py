@@ -62,20 +62,14 @@ def test_the_ratio_must_move_with_it(share, blamed):
     assert not any(shift("exit_apart_k", [5.0] * 3, [-0.1] * 3))  # 0.4 of what 5 K do is not more than that
 
 
-def test_the_level_is_the_mean_of_eight_departures_and_moves_on_by_an_eighth():
+def test_the_level_is_the_mean_of_eight_departures_and_five_are_met_before_any_departs():
     departures = [4.0, 5.0, 3.0, 4.4, 4.0, 3.6, 5.2, 4.0, 4.8, 3.2]
     levels = [np.mean(departures[: k + 1]) for k in range(8)]
     levels.append(levels[-1] + (departures[8] - levels[-1]) / 8)
     levels.append(levels[-1] + (departures[9] - levels[-1]) / 8)
     shifts = shift("exit_apart_k", departures, [-0.2] * 10)
     np.testing.assert_allclose(shifts, [0.0, *(-0.05 * np.array(levels[1:]))])
-
-
-def test_a_departure_to_the_other_side_begins_anew():
     assert shift("exit_apart_k", [4.0, -4.0, 4.0], [-0.2, 0.2, -0.2]) == [0.0] * 3
-
-
-def test_five_flights_are_met_before_any_departs():
     assert shift("exit_apart_k", [4.0] * 2, [-0.2] * 2, [0.0] * 4) == [0.0] * 2
     np.testing.assert_allclose(shift("exit_apart_k", [4.0] * 2, [-0.2] * 2, [0.0] * 5), [0.0, -0.2])
 

@@ -78,16 +78,13 @@ def test_coverage_over_many_units_of_unknown_offset_and_wear(model):
     assert abs(np.mean(off)) < 0.015
 
 
-def test_a_new_unit_is_known_better_than_a_first_one(model):
+def test_a_new_unit_is_known_better_and_a_late_entry_ends_where_a_punctual_one_does(model):
     loss = np.r_[np.linspace(0.15, 0.45, 80), np.linspace(0.0, 0.05, 60)]
     twin = flights_with_loss(model, loss, offset=0.05)
     log = NO_LOG.clear().vstack(entry(twin, 80, "HX", "REPLACED"))
     rows = fouling(twin, log, model)
     assert rows["sd"][5] > 2.0 * rows["sd"][100]
     np.testing.assert_allclose(rows["value"].to_numpy()[90:], loss[90:], atol=0.02)
-
-
-def test_an_entry_days_late_ends_where_a_punctual_one_ends(model):
     loss = np.r_[np.linspace(0.0, 0.4, 100), np.zeros(40)]
     twin = flights_with_loss(model, loss)
     punctual, late = (fouling(twin, entry(twin, k, "HX", "REPLACED"), model)["value"].to_numpy() for k in (100, 105))
@@ -128,10 +125,16 @@ def test_a_fault_that_passes_leaves_the_estimate_as_it_was(model):
     assert (during["sd"].to_numpy()[53:70] > 2.0 * sound["sd"].to_numpy()[53:70]).all()
 
 
-def test_a_clog_is_believed(model):
+def test_a_clog_is_believed_and_one_stray_flight_moves_little(model):
     loss = np.r_[np.full(60, 0.05), np.full(60, 0.25)]
     rows = fouling(flights_with_loss(model, loss), NO_LOG, model)
     np.testing.assert_allclose(rows["value"].to_numpy()[-1], 0.25, atol=0.05)
+    twin = flights_with_loss(model, np.full(80, 0.1))
+    stray = twin.with_columns(
+        ln_ua_ratio=pl.when(pl.int_range(pl.len()) == 50).then(-0.9).otherwise(pl.col("ln_ua_ratio"))
+    )
+    a, b = (fouling(frame, NO_LOG, model)["value"].to_numpy() for frame in (twin, stray))
+    assert abs(a[60] - b[60]) < 0.01
 
 
 def test_a_step_is_followed_within_two_flights_where_other_sensors_vouch_for_those_of_the_ratio(model):
@@ -179,15 +182,6 @@ def test_looking_back_knows_more(model):
     np.testing.assert_allclose(values[1][:, -1], values[0][:, -1], atol=1e-12)
 
 
-def test_one_stray_flight_moves_little(model):
-    twin = flights_with_loss(model, np.full(80, 0.1))
-    stray = twin.with_columns(
-        ln_ua_ratio=pl.when(pl.int_range(pl.len()) == 50).then(-0.9).otherwise(pl.col("ln_ua_ratio"))
-    )
-    a, b = (fouling(frame, NO_LOG, model)["value"].to_numpy() for frame in (twin, stray))
-    assert abs(a[60] - b[60]) < 0.01
-
-
 @pytest.mark.parametrize("n_flights", [1, 3])
 def test_a_short_record_has_wide_estimates(model, n_flights):
     rows = fouling(flights_with_loss(model, np.zeros(n_flights)), NO_LOG, model)
@@ -203,7 +197,7 @@ def test_a_pack_never_seen_is_predicted_from_the_prior(model):
     assert (rows["sd"] > 0.04).all()
 
 
-def test_every_flight_has_every_parameter_once(flights, model):
+def test_every_flight_has_every_parameter_once_and_no_flights_no_rows(flights, model):
     rows = track(flights, NO_LOG, model).health
     assert rows.select("tail", "flight_id", "pack", "parameter").is_duplicated().sum() == 0
     assert rows.height == flights.height * rows["parameter"].n_unique()
@@ -212,13 +206,7 @@ def test_every_flight_has_every_parameter_once(flights, model):
     valued = rows.filter(pl.col("value").is_not_null())
     assert valued["sd"].is_not_null().all()
     assert (valued["sd"] >= 0.0).all()
-
-
-def test_no_flights_no_rows(flights, model):
     assert track(flights.clear(), NO_LOG, model).health.height == 0
-
-
-def test_a_worn_unit_with_a_wide_model_says_so(flights, model):
     sure, unsure = model, replace(model, clean_level_sd=0.1)
     a, b = (fouling(flights.sort(IN_ORDER), NO_LOG, m)["sd"].mean() for m in (sure, unsure))
     assert b > a

@@ -237,14 +237,11 @@ def test_a_pack_begins_with_every_pace_and_every_wear_at_entry():
     assert {len(column) for column in states} == {12}
 
 
-def test_wear_is_never_negative():
+def test_wear_is_never_negative_and_sensors_have_at_least_their_own_spread():
     """Of a normal variable a hundred deviations below 0 as much is left above as of one thirty below: sd / 30."""
     below = flat(first(1))._replace(mean=np.array([[-1.0, 0, 0, 0, 0]]), cov=np.diag([1e-4] * 5)[None])
     mean, sd = (v[0] for v in wear_summary(below, 1))
     assert (mean, sd) == pytest.approx((0.01 / 30, 0.01 / 30), rel=0.05)
-
-
-def test_the_sensors_have_at_least_their_own_spread():
     assert Settings(0.0, 0.02, 0.041).sensors_sd == pytest.approx(np.hypot(0.015, 0.02))
     assert Settings(0.0, 0.0, 0.05).sensors_sd == pytest.approx(0.03)
 
@@ -278,12 +275,9 @@ def test_light_hypotheses_are_dropped_and_forty_are_kept():
     np.testing.assert_allclose(np.exp(after.log_weight[:40]), weights[44:4:-1] / weights[5:45].sum())
 
 
-def test_weights_add_up_to_one_in_each_pack():
+def test_weights_add_up_to_one_in_each_pack_told_apart():
     weights = np.exp(normalise(some([2.0, 6.0, 5.0], [0.0] * 3, [0, 0, 1])).log_weight)
     np.testing.assert_allclose(weights, [0.25, 0.75, 1.0])
-
-
-def test_packs_are_told_apart():
     many = join([some([1.0], [0.1]), some([0.5, 0.5], [0.2, 0.3], [1, 1])])
     assert many.n_packs == 2
     assert many.of(1).mean[:, 0].tolist() == [0.2, 0.3]
