@@ -37,51 +37,15 @@ def con(sample_home):
 
 
 @pytest.mark.parametrize("view", contract())
-def test_contract_columns_are_there_and_filled(con, view):
-    columns = {c[0] for c in con.execute(f"describe {view}").fetchall()}
-    assert set(contract()[view]) <= columns
+def test_contract_columns_are_there_and_filled_and_missing_is_never_nan(con, view):
+    columns = {c[0]: c[1] for c in con.execute(f"describe {view}").fetchall()}
+    assert set(contract()[view]) <= set(columns)
     if view not in {"alerts", "quarantine", "silent_columns"}:  # a sound fleet has none of the last two
         assert con.execute(f"select count(*) from {view}").fetchone()[0] > 0
-
-
-KEYS = {
-    "flights": "operator, tail, flight_id",
-    "legs": "operator, tail, flight_id, pack",
-    "health_parameters": "operator, tail, flight_id, pack, parameter",
-    "residuals": "operator, tail, flight_id, pack, signal, kind",
-    "features": "operator, tail, flight_id, pack",
-    "prognoses": "operator, tail, flight_id, pack, component",
-    "alerts": "alert_id",
-    "deliveries": "file",
-}
-
-
-@pytest.mark.parametrize("view", KEYS)
-def test_keys_are_unique_and_never_null(con, view):
-    key = KEYS[view]
-    assert con.execute(f"select count(*) - count(distinct ({key})) from {view}").fetchone()[0] == 0
-    nulls = " or ".join(f"{k} is null" for k in key.split(", "))
-    assert con.execute(f"select count(*) from {view} where {nulls}").fetchone()[0] == 0
-
-
-@pytest.mark.parametrize("view", contract())
-def test_missing_is_null_and_never_nan(con, view):
-    numbers = [c[0] for c in con.execute(f"describe {view}").fetchall() if c[1] in {"DOUBLE", "FLOAT"}]
+    numbers = [column for column, kind in columns.items() if kind in {"DOUBLE", "FLOAT"}]
     counts = [f'count(*) filter (isnan("{column}"))' for column in numbers]
     n_nan = con.execute(f"select {', '.join(counts) or 'count(*)'} from {view}").fetchone()
     assert [column for column, n in zip(numbers, n_nan, strict=False) if n] == []
-
-
-def test_every_delivered_row_is_accounted_for(con):
-    wrong = con.execute("select * from deliveries where delivered <> loaded + quarantined + duplicate").fetchall()
-    assert wrong == []
-    stored = con.execute(
-        "select (select count(*) from tables.raw_snapshots) + (select count(*) from tables.raw_logs)"
-    ).fetchone()
-    loaded = con.execute(
-        "select sum(loaded) from deliveries where file like '%/acms/%' or file like '%/cpl/%'"
-    ).fetchone()
-    assert stored == loaded
 
 
 def test_health_parameters_hold_what_the_contract_names(con):
@@ -90,9 +54,6 @@ def test_health_parameters_hold_what_the_contract_names(con):
     assert expected <= parameters
     silent = "select count(*) from health_parameters where value is null and status in ('', 'ok', 'converged')"
     assert con.execute(silent).fetchone()[0] == 0
-    assert (
-        con.execute("select count(*) from health_parameters where value is not null and sd is null").fetchone()[0] == 0
-    )
 
 
 COUNT = "select count(*) from flights"
@@ -108,15 +69,11 @@ def home(sample_home, tmp_path_factory) -> Path:
 
 def test_a_reader_keeps_reading_while_the_catalog_is_published(home):
     reader = connect(home)
-    before = reader.execute("select count(*) from flights").fetchone()
+    before = reader.execute(COUNT).fetchone()
     publish(home)
-    assert reader.execute("select count(*) from flights").fetchone() == before
+    assert reader.execute(COUNT).fetchone() == before
     reader.close()
-    other = (
-        f"import duckdb; print(duckdb.connect({str(home / 'catalog.duckdb')!r}, read_only=True).sql('from flights'))"
-    )
-    done = subprocess.run([sys.executable, "-c", other], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    assert opened(home / CATALOG, home) == str(before[0])
 
 
 @pytest.mark.parametrize("meets", ["the new one's end", "a mixture of both"])
@@ -149,12 +106,13 @@ def test_a_catalog_published_while_it_is_opened_is_opened_anew(own_home, monkeyp
 
 def test_a_home_that_was_copied_reads_its_own_tables(sample_home, own_home):
     _, home = own_home
+    assert "another place" in str(find_catalog_fault(home))
     for file in (home / "tables/raw_flights").rglob("*.parquet"):
         file.unlink()
     with connect(home) as con, pytest.raises(StoreError, match=r"raw_flights/.* can't be read .*; `hdt nightly`"):
         con.execute(COUNT)
     with connect(sample_home) as con:
-        assert con.execute("select count(*) from flights").fetchone()[0] > 0
+        assert con.execute(COUNT).fetchone()[0] > 0
 
 
 def opened(path: Path | str, cwd: Path) -> str:
@@ -233,11 +191,6 @@ def test_a_broken_catalog_is_told_and_the_next_night_makes_it_anew(home, damage)
             connect(home)
     publish(home)
     assert find_catalog_fault(home) is None
-
-
-def test_a_copy_is_made_anew_for_its_own_place(own_home):
-    _, copied = own_home
-    assert "another place" in str(find_catalog_fault(copied))
 
 
 def test_readers_of_one_process_that_come_first_at_once_all_answer(home, monkeypatch):

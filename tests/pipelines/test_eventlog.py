@@ -17,22 +17,20 @@ from databases import SERVER, new_database
 from dagster_batched import report_partitions
 from dagster_batched.instance import open_instance
 from dagster_batched.partitions import valid_keys
+from dagster_batched.runs import range_tags
 
 KEPT_IN = {
     "sqlite": ("base_dir: {base}/history", "sqlite:///{base}/history/index.db"),
     "postgresql": ("postgres_url: {url}", "{url}"),
 }
-STOCK, OURS = (
-    {
-        "sqlite": ("dagster._core.storage.event_log", "SqliteEventLogStorage"),
-        "postgresql": ("dagster_postgres.event_log", "PostgresEventLogStorage"),
-    },
-    {
-        "sqlite": ("dagster_batched.event_log", "BatchedSqliteEventLogStorage"),
-        "postgresql": ("dagster_batched.postgres", "BatchedPostgresEventLogStorage"),
-    },
-)
-TABLES = ("event_logs", "asset_keys", "asset_event_tags", "asset_check_executions", "dynamic_partitions")
+STOCK = {
+    "sqlite": ("dagster._core.storage.event_log", "SqliteEventLogStorage"),
+    "postgresql": ("dagster_postgres.event_log", "PostgresEventLogStorage"),
+}
+OURS = {
+    "sqlite": ("dagster_batched.event_log", "BatchedSqliteEventLogStorage"),
+    "postgresql": ("dagster_batched.postgres", "BatchedPostgresEventLogStorage"),
+}
 UNLIKE = re.compile(r'"(timestamp|pid)": [\d.]+|"run_id": "[^"]+"|event_pointer/\w+": "\d+"|_version[/\w]*": "\w{64}"')
 
 aircraft = dg.DynamicPartitionsDefinition(name="aircraft")
@@ -103,18 +101,20 @@ def new_log(request, tmp_path) -> Iterator[Callable[[str], Log]]:
         yield make
 
 
+def add_cells(instance: dg.DagsterInstance, flights: str = "12") -> None:
+    instance.add_dynamic_partitions("aircraft", ["A", "B"])
+    instance.add_dynamic_partitions("flight", [*flights])
+
+
 def ran(log: Log, who, monkeypatch, batch: str):
     """Tables of the index after one run over 2 x 3 cells."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", batch)
     # stock plans one event an asset where it is asked to
     monkeypatch.setenv("DAGSTER_EMIT_PARTITION_SUBSET_IN_PLANNED_EVENTS", "1")
     instance = log.instance(who)
-    instance.add_dynamic_partitions("aircraft", ["A", "B"])
-    instance.add_dynamic_partitions("flight", ["1", "2", "3"])
-    tags = {"dagster/asset_partition_range_start": "A|1", "dagster/asset_partition_range_end": "B|3"}
-    assets, keeper = [first, second, third], {"one": OneStandsForAll()}
-    done = dg.materialize(assets, resources=keeper, instance=instance, tags=tags)
-    assert done.success
+    add_cells(instance, "123")
+    keeper, tags = {"one": OneStandsForAll()}, range_tags("A|1", "B|3")
+    assert dg.materialize([first, second, third], resources=keeper, instance=instance, tags=tags).success
     records = instance.fetch_materializations(dg.AssetKey("second"), limit=100).records
     instance.dispose()
     return shape(log), sorted(r.partition_key for r in records)
@@ -183,8 +183,7 @@ def test_keys_that_a_page_counts_are_those_that_stock_finds():
     stock_keys = getattr(stock_filter, "__wrapped__", stock_filter)  # another test may have opened an instance of ours
     candidates = {"A|1", "B|2", "C|1", "A|9", "A", "A|1|2", ""}
     with dg.DagsterInstance.ephemeral() as instance, partition_loading_context(dynamic_partitions_store=instance):
-        instance.add_dynamic_partitions("aircraft", ["A", "B"])
-        instance.add_dynamic_partitions("flight", ["1", "2"])
+        add_cells(instance)
         for some in (candidates, {"C|1"}, {"A"}, set()):
             ours, stock = valid_keys(both, some), stock_keys(both, some)
             parts = {key: both.get_partition_key_from_str(key).keys_by_dimension for key in stock}  # 1.12 finds texts
@@ -208,24 +207,19 @@ def test_cells_of_a_failed_run_show_as_stock_shows_them(new_log, monkeypatch):
     """Stock plans cell by cell; ours only where the run failed, and then what was not made."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
     cells, attempts = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"], []
-    tags = {"dagster/asset_partition_range_start": "A|1", "dagster/asset_partition_range_end": "B|2"}
+    tags = range_tags("A|1", "B|2")
     for who in (STOCK, OURS):
         with new_log(f"log{len(attempts)}").instance(who) as instance:
-            instance.add_dynamic_partitions("aircraft", ["A", "B"])
-            instance.add_dynamic_partitions("flight", ["1", "2"])
+            add_cells(instance)
             done = dg.materialize([sound, broken], instance=instance, tags=tags, raise_on_error=False)
             log = instance.event_log_storage
             if who is OURS:
                 log.mark_failed_partitions(done.run_id, cells)
             in_vain = log.get_latest_asset_partition_materialization_attempts_without_materializations
-            attempts.append(
-                {
-                    name: {cell: run_id == done.run_id for cell, (run_id, _) in in_vain(dg.AssetKey(name)).items()}
-                    for name in ("sound", "broken")
-                }
-            )
+            found = [in_vain(dg.AssetKey(name)).items() for name in ("sound", "broken")]
+            attempts.append([{cell: run_id == done.run_id for cell, (run_id, _) in cells_of} for cells_of in found])
     stock, ours = attempts
-    assert ours == stock == {"sound": {}, "broken": dict.fromkeys(cells, True)}
+    assert ours == stock == [{}, dict.fromkeys(cells, True)]
 
 
 @dg.asset(partitions_def=both)
@@ -239,18 +233,13 @@ def fickle(context) -> None:
 def test_cells_planned_in_vain_are_those_that_stock_finds(new_log, monkeypatch, named):
     """After any event: cells that failed, were made, made and then failed, failed and then made, or wiped."""
     monkeypatch.setattr("dagster_batched.coalescing._MAX_VALUES", named)
-    log, runs = new_log("log"), (("A|1", "A|1"), ("B|1", "B|1"), ("B|2", "B|2"), ("B|1", "B|1"))
+    log = new_log("log")
     in_vain = "get_latest_asset_partition_materialization_attempts_without_materializations"
     with log.instance(STOCK) as instance:
-        instance.add_dynamic_partitions("aircraft", ["A", "B"])
-        instance.add_dynamic_partitions("flight", ["1", "2"])
-        for first_cell, last_cell in runs:
+        add_cells(instance)
+        for cell in ("A|1", "B|1", "B|2", "B|1"):
             for assets in ([fickle], [sound]):
-                ends = {
-                    "dagster/asset_partition_range_start": first_cell,
-                    "dagster/asset_partition_range_end": last_cell,
-                }
-                dg.materialize(assets, instance=instance, tags=ends, raise_on_error=False)
+                dg.materialize(assets, instance=instance, tags=range_tags(cell, cell), raise_on_error=False)
         instance.report_runless_asset_event(dg.AssetMaterialization("fickle", partition="B|2"))
         with log.tables.connect() as con:
             newest = int(con.exec_driver_sql("select max(id) from event_logs").scalar())
@@ -273,12 +262,11 @@ def test_the_page_of_a_run_tells_what_stock_tells(new_log, assets, monkeypatch):
     """In stock's order, where events that only tell how far a step is are written with the next; a line an asset."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
     monkeypatch.setenv("DAGSTER_EMIT_PARTITION_SUBSET_IN_PLANNED_EVENTS", "1")
-    tags = {"dagster/asset_partition_range_start": "A|1", "dagster/asset_partition_range_end": "B|2"}
+    tags = range_tags("A|1", "B|2")
     pages = []
     for who in (STOCK, OURS):
         with new_log(f"log{len(pages)}").instance(who) as instance:
-            instance.add_dynamic_partitions("aircraft", ["A", "B"])
-            instance.add_dynamic_partitions("flight", ["1", "2"])
+            add_cells(instance)
             keeper = {"one": OneStandsForAll()}
             done = dg.materialize(assets, resources=keeper, instance=instance, tags=tags, raise_on_error=False)
             lines = [(e.dagster_event_type, e.step_key) for e in instance.all_logs(done.run_id) if e.is_dagster_event]

@@ -1,10 +1,13 @@
-"""The ledger's copy: what the last night left is noticed to be changed, and put back."""
+"""What the last night left is damaged: the ledger is put back from its copy, Dagster's history begun anew."""
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import polars as pl
 import pytest
 
+from pipelines.storage.history import find_history_fault, replace_damaged_history
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.ledger_copy import copy_ledger, find_ledger_fault, repair
 
@@ -88,3 +91,43 @@ def test_without_a_whole_copy_all_is_taken_in_again(ledger):
 def test_a_home_that_has_no_ledger_yet_lacks_none(tmp_path):
     assert find_ledger_fault(Ledger(tmp_path)) is None
     assert repair(Ledger(tmp_path)) is None
+
+
+RUN = "0217790e-c4e7-410f-905d-2e60707d3890"
+
+
+@pytest.fixture
+def history_home(tmp_path):
+    (tmp_path / "dagster" / "history").mkdir(parents=True)
+    for name in ("index", "runs", RUN):
+        with closing(sqlite3.connect(file_of(tmp_path, name))) as con, con:
+            con.execute("create table events as select 1 as id")
+    return tmp_path
+
+
+def file_of(home, name):
+    return home / "dagster" / "history" / f"{name}.db"
+
+
+def damage(home, name):
+    content = bytearray(file_of(home, name).read_bytes())
+    content[:16] = b"no SQLite at all"
+    file_of(home, name).write_bytes(content)
+
+
+@pytest.mark.parametrize("name", ["index", "runs"])
+def test_a_damaged_file_is_told_and_a_new_history_begins(history_home, name):
+    assert replace_damaged_history(history_home, whole=False) is None
+    damage(history_home, name)
+    assert replace_damaged_history(history_home, whole=False).startswith(
+        f"dagster/history/{name}.db is damaged (file is not a database); "
+    )
+    assert not (history_home / "dagster").exists()
+    assert replace_damaged_history(history_home, whole=False) is None
+
+
+def test_the_file_of_a_run_that_rots_is_found_by_the_doctor(history_home):
+    damage(history_home, RUN)
+    assert replace_damaged_history(history_home, whole=False) is None
+    assert f"{RUN}.db is damaged" in find_history_fault(history_home)
+    assert f"{RUN}.db is damaged" in replace_damaged_history(history_home)

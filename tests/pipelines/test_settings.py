@@ -1,5 +1,6 @@
 """Files that an operator writes: what stands in them is judged as they are read, at the night's start, in one line."""
 
+import os
 import re
 import stat
 
@@ -11,26 +12,52 @@ from pipelines.cli import app, main
 from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.intake.costs import CostError, read_costs
 from pipelines.storage.files import make_private, narrow_umask
+from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
-from pipelines.storage.settings import Retention, accepted_terms, alert_limits, changed_limits, retention
+from pipelines.storage.settings import (
+    Retention,
+    accept_terms,
+    accepted_terms,
+    alert_limits,
+    changed_limits,
+    retention,
+    terms_file,
+)
+from pipelines.versions import baseline_inputs
 
 DEEP = f"x = {'[' * 20_000}{']' * 20_000}"
 ABSURD = ("99999999999", "9" * 5_000, "-1", "0", "nan", "inf", "1e400", "1.5", "true", "'x'", "[]", "{}", "2024-03-01")
 MAIL = "[[receiver]]\nname = 'm'\nkind = 'mail'\nhost = 'h'\nfrom = 'a@b'\nto = ['c@d']\n"
 
 
-@pytest.mark.parametrize("value", ABSURD)
-def test_days_to_keep_are_a_number_of_days(tmp_path, value):
-    (tmp_path / "retention.toml").write_text(f"keep_days = {value}")
-    with pytest.raises(StoreError, match=r"retention\.toml"):
-        retention(tmp_path)
+RECEIVERS = (
+    "receiver = [1]", "receiver = 'x'", MAIL.replace("'m'", '"m\\n"'), MAIL.replace("'mail'", "['mail']"),
+    MAIL.replace("'h'", '"h\\u0000"'), "[[receiver]]\nname = 'w'\nkind = 'webhook'\nurl = 'https://[x'",
+)  # fmt: skip
+LIMITS = (
+    ("fouling = 1.0", "between 0 and 1"), ("fouling = 0", "between 0 and 1"), ("clog = true", "between 0 and 1"),
+    ("peg_k = nan", "between 0 and 1000"), ("fuling = 0.1", "has no setting 'fuling'"), ("fouling = '0.1'", "between"),
+    ("wear_persistence = [5, 4, 15]", "n of at most `of`"), ("wear_persistence = [3, 4]", "flights"),
+)  # fmt: skip
+NIGHTS = ("'2024-03-01'", "[1]", "['']", "['yesterday']", "[['2024-03-01']]", "{}", "nan")
+PORTS = ("-1", "0", "65536", "99999999999", "nan", "true", "'x'")
+COSTS = ("-1", "1" + "0" * 400, "1e300", "nan", "inf", "true", "'x'", "[]")
+WRONG = [
+    *((retention, "retention.toml", f"keep_days = {value}", r"retention\.toml") for value in ABSURD),
+    *((retention, "retention.toml", f"hold = {value}", r"retention\.toml: hold") for value in NIGHTS),
+    *((receivers_of, "notify.toml", f"{MAIL}port = {value}", "port") for value in PORTS),
+    *((receivers_of, "notify.toml", text, r"notify\.toml") for text in RECEIVERS),
+    *((read_costs, "costs.toml", f"[HX]\nwash = {value}", r"HX\.wash") for value in COSTS),
+    *((alert_limits, "alerts.toml", text, r"alerts\.toml.*" + re.escape(fault)) for text, fault in LIMITS),
+    *((accepted_terms, "terms.txt", text, r"terms\.txt") for text in ("no_such_term\n", "\udcff\udcfe")),
+]
 
 
-@pytest.mark.parametrize("value", ["'2024-03-01'", "[1]", "['']", "['yesterday']", "[['2024-03-01']]", "{}", "nan"])
-def test_nights_to_hold_are_nights(tmp_path, value):
-    (tmp_path / "retention.toml").write_text(f"hold = {value}")
-    with pytest.raises(StoreError, match=r"retention\.toml: hold"):
-        retention(tmp_path)
+@pytest.mark.parametrize(("read", "name", "text", "message"), WRONG)
+def test_what_is_wrong_is_named_with_its_file(tmp_path, read, name, text, message):
+    (tmp_path / name).write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises({receivers_of: NotifyError, read_costs: CostError}.get(read, StoreError), match=message):
+        read(tmp_path)
 
 
 def test_a_night_may_be_a_date_of_toml(tmp_path):
@@ -45,37 +72,6 @@ def test_what_is_no_toml_is_one_line_of_whoever_reads_it(tmp_path, text):
     for read, error in ((retention, StoreError), (receivers_of, NotifyError), (read_costs, CostError)):
         with pytest.raises(error, match=r"\.toml"):
             read(tmp_path)
-
-
-@pytest.mark.parametrize("value", ["-1", "0", "65536", "99999999999", "nan", "true", "'x'"])
-def test_a_port_is_a_port(tmp_path, value):
-    (tmp_path / "notify.toml").write_text(f"{MAIL}port = {value}")
-    with pytest.raises(NotifyError, match="port"):
-        receivers_of(tmp_path)
-
-
-@pytest.mark.parametrize("text", [
-    "receiver = [1]", "receiver = 'x'", MAIL.replace("'m'", "'m\\n'"), MAIL.replace("'mail'", "['mail']"),
-    MAIL.replace("'h'", "'h\\u0000'"), "[[receiver]]\nname = 'w'\nkind = 'webhook'\nurl = 'https://[x'",
-])  # fmt: skip
-def test_a_receiver_that_is_none_is_told(tmp_path, text):
-    (tmp_path / "notify.toml").write_text(text.replace("'h\\u0000'", '"h\\u0000"').replace("'m\\n'", '"m\\n"'))
-    with pytest.raises(NotifyError, match=r"notify\.toml"):
-        receivers_of(tmp_path)
-
-
-@pytest.mark.parametrize("value", ["-1", "1" + "0" * 400, "1e300", "nan", "inf", "true", "'x'", "[]"])
-def test_a_cost_is_an_amount_of_money(tmp_path, value):
-    (tmp_path / "costs.toml").write_text(f"[HX]\nwash = {value}")
-    with pytest.raises(CostError, match=r"HX\.wash"):
-        read_costs(tmp_path)
-
-
-@pytest.mark.parametrize("content", [b"no_such_term\n", b"\xff\xfe"])
-def test_a_term_that_is_none_is_told(tmp_path, content):
-    (tmp_path / "terms.txt").write_bytes(content)
-    with pytest.raises(StoreError, match=r"terms\.txt"):
-        accepted_terms(tmp_path)
 
 
 @pytest.mark.parametrize(("name", "text"), [
@@ -115,25 +111,12 @@ def test_a_private_file_is_closed_though_it_was_open(tmp_path):
 
 @pytest.mark.parametrize(("before", "after"), [(0o000, 0o027), (0o022, 0o027), (0o077, 0o077)])
 def test_a_narrower_mask_stays(before, after):
-    import os
-
     mask = os.umask(before)
     try:
         assert narrow_umask() == before
         assert os.umask(before) == after
     finally:
         os.umask(mask)
-
-
-@pytest.mark.parametrize(("text", "fault"), [
-    ("fouling = 1.0", "between 0 and 1"), ("fouling = 0", "between 0 and 1"), ("clog = true", "between 0 and 1"),
-    ("peg_k = nan", "between 0 and 1000"), ("fuling = 0.1", "has no setting 'fuling'"), ("fouling = '0.1'", "between"),
-    ("wear_persistence = [5, 4, 15]", "n of at most `of`"), ("wear_persistence = [3, 4]", "flights"),
-])  # fmt: skip
-def test_an_alert_limit_that_is_none_is_refused(tmp_path, text, fault):
-    (tmp_path / "alerts.toml").write_text(text)
-    with pytest.raises(StoreError, match=r"alerts\.toml.*" + re.escape(fault)):
-        alert_limits(tmp_path)
 
 
 def test_a_home_sets_alert_limits_and_the_rest_stays(tmp_path):
@@ -143,3 +126,27 @@ def test_a_home_sets_alert_limits_and_the_rest_stays(tmp_path):
     limits = alert_limits(tmp_path)
     assert (limits.fouling, limits.wear_persistence, limits.compressor) == (0.12, (2, 3, 15), Limits().compressor)
     assert changed_limits(tmp_path) == ("fouling = 0.12", "wear_persistence = (2, 3, 15)")
+
+
+def test_accepted_terms_are_a_file_of_the_home_that_makes_the_model_stale(tmp_path):
+    before = baseline_inputs(Ledger(tmp_path))
+    accept_terms(tmp_path, ["water_spray", "flow_leak", "water_spray"])
+    assert accepted_terms(tmp_path) == ("flow_leak", "water_spray")
+    assert baseline_inputs(Ledger(tmp_path)) == [*before, "term flow_leak", "term water_spray"]
+    accept_terms(tmp_path, [])
+    assert baseline_inputs(Ledger(tmp_path)) == before
+    with pytest.raises(KeyError):
+        accept_terms(tmp_path, ["unheard_of"])
+    assert baseline_inputs(Ledger(tmp_path)) == before
+    terms_file(tmp_path).write_text("# by hand\n\n inlet_gain \n")
+    assert accepted_terms(tmp_path) == ("inlet_gain",)
+
+
+def test_the_command_accepts_and_drops(tmp_path):
+    (tmp_path / "catalog.duckdb").touch()  # a home that has seen a night
+    run = CliRunner()
+    assert run.invoke(app, ["terms", "--home", str(tmp_path), "--accept", "water_spray"]).exit_code == 0
+    assert accepted_terms(tmp_path) == ("water_spray",)
+    assert run.invoke(app, ["terms", "--home", str(tmp_path), "--drop", "water_spray"]).exit_code == 0
+    assert accepted_terms(tmp_path) == ()
+    assert run.invoke(app, ["terms", "--home", str(tmp_path), "--accept", "unheard_of"]).exit_code != 0

@@ -1,5 +1,6 @@
-"""What a store promises, whoever keeps the shards: a merge touches its flights alone, a reader sees all or nothing."""
+"""What a store promises, whoever keeps the shards: all or nothing, and every flight once, wherever its month lies."""
 
+import random
 import shutil
 import threading
 from datetime import UTC, datetime
@@ -11,8 +12,11 @@ import pytest
 from deltalake import DeltaTable, Schema
 
 from hdt_core.tables import TABLES
+from pipelines.repair import repair_home
 from pipelines.storage.delta import Deltas
 from pipelines.storage.files import replacing
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.months import OPEN
 from pipelines.storage.objects import StoreError
 from pipelines.storage.store import FLEET, Store, shard_of
 
@@ -26,36 +30,32 @@ def store(request, tmp_path) -> Store:
     return Store(tmp_path, "" if request.param == "files" else request.getfixturevalue("s3_url"))
 
 
-def flights(*ids: str, n: int = 1) -> pl.DataFrame:
+def flights_of(*ids: str, n: int = 1) -> pl.DataFrame:
     at = datetime(2024, 5, 1, tzinfo=UTC)
     rows = {"operator": "AQX", "tail": "LX-AAA", "departed_at": at, "landed_at": at, "source": "acms", "n_seconds": 0}
-    frame = pl.DataFrame([rows | {"flight_id": i, "n_snapshots": n} for i in ids])
-    return TABLES["raw_flights"].conform(frame)
+    return TABLES["raw_flights"].conform(pl.DataFrame([rows | {"flight_id": i, "n_snapshots": n} for i in ids]))
 
 
-def stored_counts(store: Store) -> dict[str, int]:
-    return dict(store.read_table("raw_flights").select("flight_id", "n_snapshots").rows())
+def merge(store: Store, ids: list[str], n: int = 1) -> None:
+    store.merge("raw_flights", {AIRCRAFT: ids}, flights_of(*ids, n=n))
 
 
-def test_merge_replaces_the_flights_named_and_keeps_the_others(store):
-    store.merge("raw_flights", {AIRCRAFT: [MAY, MAY_TOO, JUNE]}, flights(MAY, MAY_TOO, JUNE))
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=7))
-    assert stored_counts(store) == {MAY: 7, MAY_TOO: 1, JUNE: 1}
-    assert len(store.tables.sources("raw_flights")) == 2  # a shard a month
+def stored_rows(store: Store) -> list[tuple[str, int]]:
+    return sorted(store.read_table("raw_flights").select("flight_id", "n_snapshots").rows())
 
 
 def test_merge_of_no_rows_removes_what_was_there_and_makes_no_shard(store):
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights())
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights_of())
     assert not store.tables.sources("raw_flights")
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY))
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights())
+    merge(store, [MAY])
+    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights_of())
     assert store.read_table("raw_flights").is_empty()
 
 
 def test_one_aircraft_is_read_without_the_others(store):
     other = ("BZR", "LX-AAA")
     for operator, n in (("AQX", 1), ("BZR", 2)):
-        own = flights(MAY, n=n).with_columns(operator=pl.lit(operator))
+        own = flights_of(MAY, n=n).with_columns(operator=pl.lit(operator))
         store.merge("raw_flights", {(operator, "LX-AAA"): [MAY]}, own)
     assert store.read_table("raw_flights", [other])["n_snapshots"].to_list() == [2]
     assert sorted(store.read_table("raw_flights", [AIRCRAFT, other])["n_snapshots"]) == [1, 2]
@@ -65,9 +65,9 @@ def test_one_aircraft_is_read_without_the_others(store):
 def test_a_reader_keeps_what_it_began_to_read_and_the_next_sees_the_new(s3_url, tmp_path):
     """Between a reader's first look and its last byte the shard is replaced, by objects of fresh names."""
     store = Store(tmp_path, s3_url)
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=1))
+    merge(store, [MAY], n=1)
     first = store.scan("raw_flights")
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=2))
+    merge(store, [MAY], n=2)
     second = store.scan("raw_flights")
     assert [f.collect()["n_snapshots"].to_list() for f in (first, second)] == [[1], [2]]
 
@@ -78,14 +78,14 @@ def test_two_writers_of_one_month_lose_nothing(store):
 
     def write(ids: list[str]) -> None:
         for flight in ids:
-            store.merge("raw_flights", {AIRCRAFT: [flight]}, flights(flight))
+            merge(store, [flight])
 
     both = [threading.Thread(target=write, args=(ids,)) for ids in days]
     for thread in both:
         thread.start()
     for thread in both:
         thread.join()
-    assert sorted(stored_counts(store)) == sorted(days[0] + days[1])
+    assert [flight for flight, _ in stored_rows(store)] == sorted(days[0] + days[1])
 
 
 def test_a_table_that_is_not_there_yet_reads_as_empty_with_its_columns(store):
@@ -116,7 +116,7 @@ def test_no_name_leads_out_of_home(aircraft):
 
 def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
     monkeypatch.setenv("HDT_STORE_URL", str(tmp_path / "elsewhere"))
-    Store(tmp_path / "home").merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY))
+    merge(Store(tmp_path / "home"), [MAY])
     assert len(list((tmp_path / "elsewhere/raw_flights/AQX/LX-AAA").glob("2024-05.*.parquet"))) == 1
     assert not (tmp_path / "home").exists()
     monkeypatch.setenv("HDT_STORE_URL", "gs://bucket")
@@ -128,16 +128,16 @@ def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
 
 def test_the_same_rows_make_the_same_file_and_no_commit(store):
     ids = [MAY, MAY_TOO]
-    store.merge("raw_flights", {AIRCRAFT: ids}, flights(*ids))
+    merge(store, ids)
     first, version = store.tables.shards("raw_flights"), store.tables.open("raw_flights").version()
-    store.merge("raw_flights", {AIRCRAFT: ids}, flights(*reversed(ids)))
+    merge(store, ids[::-1])
     assert store.tables.shards("raw_flights") == first
     assert store.tables.open("raw_flights").version() == version
 
 
 def test_many_aircraft_change_in_one_commit(store):
     other = ("BZR", "LX-AAA")
-    both = pl.concat([flights(MAY), flights(MAY).with_columns(operator=pl.lit("BZR"))])
+    both = pl.concat([flights_of(MAY), flights_of(MAY).with_columns(operator=pl.lit("BZR"))])
     store.merge("raw_flights", {AIRCRAFT: [MAY], other: [MAY]}, both)
     first = store.tables.open("raw_flights").version()
     store.merge("raw_flights", {AIRCRAFT: [MAY], other: [MAY]}, both.with_columns(n_snapshots=9))
@@ -146,26 +146,26 @@ def test_many_aircraft_change_in_one_commit(store):
 
 
 def test_rows_of_what_was_not_asked_for_are_refused(store):
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=1))
-    other = flights(MAY).with_columns(operator=pl.lit("BZR"))
-    for frame, which in ((flights(MAY, MAY_TOO), MAY_TOO), (other, "BZR LX-AAA")):
+    merge(store, [MAY], n=1)
+    other = flights_of(MAY).with_columns(operator=pl.lit("BZR"))
+    for frame, which in ((flights_of(MAY, MAY_TOO), MAY_TOO), (other, "BZR LX-AAA")):
         with pytest.raises(StoreError, match=rf"raw_flights: 1 rows are of nothing that was asked for.*{which}"):
             store.merge("raw_flights", {AIRCRAFT: [MAY]}, frame)
     with pytest.raises(StoreError, match="twin_health: 1 rows are of nothing that was asked for, such as BZR LX-AAA"):
         store.replace("twin_health", [AIRCRAFT], TABLES["twin_health"].conform(other))
-    assert stored_counts(store) == {MAY: 1}
+    assert stored_rows(store) == [(MAY, 1)]
 
 
 def test_a_key_that_would_stand_twice_is_refused_also_beside_rows_that_are_there(store):
-    doubled = pl.concat([flights(MAY), flights(MAY, n=2)])
+    doubled = pl.concat([flights_of(MAY), flights_of(MAY, n=2)])
     with pytest.raises(StoreError, match=f"AQX/LX-AAA/2024-05 would hold 1 keys more than once, such as .*{MAY}"):
         store.merge("raw_flights", {AIRCRAFT: [MAY]}, doubled)
     assert store.read_table("raw_flights").is_empty()
     store.tables.write("raw_flights", {"AQX/LX-AAA/2024-05": doubled})  # past the store's check
     with pytest.raises(StoreError, match="more than once"):
-        store.merge("raw_flights", {AIRCRAFT: [MAY_TOO]}, flights(MAY_TOO))
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY))
-    assert stored_counts(store) == {MAY: 1}
+        store.merge("raw_flights", {AIRCRAFT: [MAY_TOO]}, flights_of(MAY_TOO))
+    merge(store, [MAY])
+    assert stored_rows(store) == [(MAY, 1)]
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -185,29 +185,21 @@ def test_every_table_opens_with_polars_pyarrow_and_duckdb(sample_home, table):
     assert max(duckdb.sql(query[0], params=query[1]).fetchall()[0]) == rows
 
 
-def test_an_earlier_version_stays_readable(store):
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=1))
-    then = store.tables.open("raw_flights").version()
-    store.merge("raw_flights", {AIRCRAFT: [MAY, JUNE]}, flights(MAY, JUNE, n=2))
-    (file,) = store.tables.version("raw_flights", then).shards.values()
-    assert pl.read_parquet(store.place.get(f"raw_flights/{file}"))["n_snapshots"].to_list() == [1]
-
-
 def test_a_table_is_opened_once_whoever_asks_and_again_after_anothers_commit(tmp_path, monkeypatch):
     """A log of years takes a while to read; another process may have written meanwhile."""
     opened, open_ = [], Deltas.open
     Store(tmp_path).declare("raw_flights")
     monkeypatch.setattr(Deltas, "open", lambda *arguments: opened.append(arguments) or open_(*arguments))
     for n in (1, 2):
-        Store(tmp_path).merge("raw_flights", {AIRCRAFT: [MAY, JUNE]}, flights(MAY, JUNE, n=n))
-        assert stored_counts(Store(tmp_path)) == {MAY: n, JUNE: n}
+        merge(Store(tmp_path), [MAY, JUNE], n)
+        assert stored_rows(Store(tmp_path)) == [(MAY, n), (JUNE, n)]
         assert Store(tmp_path).declare("raw_flights").number == n
     assert opened == []
     elsewhere = shutil.copytree(tmp_path / "tables", tmp_path / "other" / "tables").parent
-    Store(elsewhere).merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY, n=3))
+    merge(Store(elsewhere), [MAY], 3)
     shutil.copytree(elsewhere / "tables", tmp_path / "tables", dirs_exist_ok=True)  # as another process would write
     opened.clear()
-    assert stored_counts(Store(tmp_path)) == {MAY: 3, JUNE: 2}
+    assert stored_rows(Store(tmp_path)) == [(MAY, 3), (JUNE, 2)]
     assert len(opened) == 1
 
 
@@ -237,9 +229,86 @@ def test_a_writer_that_dies_leaves_the_old_file_and_nothing_else(tmp_path):
 
 def test_leftovers_of_a_killed_writer_are_swept_and_never_read(tmp_path):
     store = Store(tmp_path)
-    store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights(MAY))
+    merge(store, [MAY])
     left = tmp_path / "tables/raw_flights/AQX/LX-AAA/.2024-05.0.parquet.99.part"
     left.write_bytes(b"PAR1 torn")
     assert store.read_table("raw_flights").height == 1
     assert store.sweep() == 1
     assert not left.exists()
+
+
+MONTHS = [f"{year}{month:02}" for year in (2022, 2023, 2024) for month in range(1, 13)]
+FLIGHTS = [f"LX-AAA_{month}{day:02}_01" for month in MONTHS for day in (3, 17)]
+
+
+def names(store: Store) -> list[str]:
+    return sorted(shard.rpartition("/")[2] for shard in store.tables.shards("raw_flights"))
+
+
+def test_years_take_in_all_months_but_the_newest_whose_flights_read_no_other_file(tmp_path):
+    merge(store := Store(tmp_path), FLIGHTS)
+    assert names(store) == ["2022", "2023", "2024", "2024-10", "2024-11", "2024-12"]
+    assert stored_rows(store) == [(flight, 1) for flight in FLIGHTS]
+    assert set(store.scan("raw_flights", [AIRCRAFT], FLIGHTS[-2:]).collect()["flight_id"]) == set(FLIGHTS[-2:])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_every_flight_is_held_once_and_as_it_came_last_in_whatever_order(tmp_path, seed):
+    check_any_order(Store(tmp_path), seed, nights=40)
+
+
+def test_and_so_it_is_over_objects(tmp_path, s3_url):
+    check_any_order(Store(tmp_path, s3_url), seed=8, nights=15)
+
+
+def check_any_order(store: Store, seed: int, nights: int) -> None:
+    """Nights in order, late flights, whole histories and flights that vanish, against a plain dictionary."""
+    rng, expected = random.Random(seed), dict[str, int]()
+    for n in range(nights):
+        flights = rng.sample(FLIGHTS, rng.choice((1, 2, 5, 30)))
+        removed = set(flights) if rng.random() < 0.1 else set()
+        store.merge("raw_flights", {AIRCRAFT: flights}, flights_of(*sorted(set(flights) - removed), n=n))
+        expected = {f: k for f, k in expected.items() if f not in removed} | dict.fromkeys(set(flights) - removed, n)
+        assert stored_rows(store) == sorted(expected.items())
+        sample = rng.sample(FLIGHTS, 3)
+        result = store.scan("raw_flights", [AIRCRAFT], sample).collect()["flight_id"]
+        assert set(result) >= set(sample) & set(expected)
+    assert len([name for name in names(store) if "-" in name]) <= OPEN
+
+
+@pytest.mark.parametrize("months", [["2024-12"], ["2024-11", "2024-12"], ["2024"], ["2024-10", "2024-11", "2024-12"]])
+def test_months_that_were_lost_come_back_once(tmp_path, months):
+    """With the newest months gone, others are the newest: they stay in the year that has taken them in."""
+    merge(store := Store(tmp_path), FLIGHTS)
+    files = store.tables.shards("raw_flights")
+    store.tables.remove_files("raw_flights", [files[f"AQX/LX-AAA/{name}"] for name in months])
+    late = [f for f in FLIGHTS if "_202409" in f]
+    merge(store, late, n=3)
+    left = set(store.read_table("raw_flights")["flight_id"])
+    merge(store, [f for f in FLIGHTS if f not in left], n=2)
+    assert [flight for flight, _ in stored_rows(store)] == FLIGHTS
+    assert {n for flight, n in stored_rows(store) if flight in late} == {3}
+
+
+def test_a_year_that_was_lost_makes_its_flights_stale_and_no_others(tmp_path):
+    store, ledger = Store(tmp_path / "home"), Ledger(tmp_path / "home")
+    merge(store, FLIGHTS)
+    done = [{"operator": "AQX", "tail": "LX-AAA", "flight_id": f, "version": "1"} for f in FLIGHTS]
+    ledger.mark("raw_flights", pl.DataFrame(done))
+    ledger.note_snapshot({"raw_flights": 0})
+    file = store.tables.shards("raw_flights")["AQX/LX-AAA/2023"]
+    (store.place.root / "raw_flights" / file).write_bytes(b"torn")
+    repair_home(tmp_path / "landing", store, ledger)
+    assert sorted(ledger.cells("raw_flights")["flight_id"]) == [f for f in FLIGHTS if "_2023" not in f]
+    assert [flight for flight, _ in stored_rows(store)] == [f for f in FLIGHTS if "_2023" not in f]
+
+
+def test_a_log_made_anew_from_all_files_counts_no_folded_month_twice(tmp_path):
+    store, ledger = Store(tmp_path / "home"), Ledger(tmp_path / "home")
+    for month in range(0, len(FLIGHTS), 2):
+        merge(store, FLIGHTS[month : month + 2])
+    ledger.note_snapshot({"raw_flights": store.tables.open("raw_flights").version()})
+    for commit in (store.place.root / "raw_flights/_delta_log").iterdir():
+        commit.unlink()
+    repair_home(tmp_path / "landing", store, ledger)
+    assert [flight for flight, _ in stored_rows(store)] == FLIGHTS
