@@ -56,12 +56,9 @@ def test_each_night_says_what_it_said(four):
     assert snapshots_of(connect(four)) == NIGHTS - 1
 
 
-def test_a_reader_of_an_earlier_night_can_reach_nothing_else(four):
+def test_a_reader_of_an_earlier_night_can_reach_nothing_else_and_of_none_before_the_first(four):
     with connect_as_of(four, names(four)[0]) as con, pytest.raises(Exception, match="disabled by configuration"):
         con.execute("select * from read_text('/etc/passwd')").fetchall()
-
-
-def test_before_the_first_night_nothing_was_said(four):
     with pytest.raises(StoreError, match=f"the first on record is {names(four)[0][:10]}"):
         connect_as_of(four, "2001-01-01")
     with pytest.raises(StoreError, match="none is on record"):

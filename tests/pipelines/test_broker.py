@@ -7,6 +7,8 @@ from dagster._core.launcher import WorkerStatus
 from dagster_batched import celery
 
 AT_WORK = {"one@a": [{"id": "task-1"}], "two@b": []}
+RUNNING, LOST = WorkerStatus.RUNNING, WorkerStatus.NOT_FOUND
+NOBODY = (None, celery.OperationalError("refused"), ConnectionResetError())
 
 
 @pytest.fixture
@@ -32,53 +34,31 @@ def run_of(task: str | None) -> dg.DagsterRun:
     return dg.DagsterRun(job_name="any", tags={"dagster-celery/task_id": task} if task else {})
 
 
-def status(launcher, run):
-    return launcher.check_run_worker_health(run).status
-
-
-def test_a_run_that_a_worker_is_at_lives(watched_launcher):
-    launcher, _ = watched_launcher
-    assert status(launcher, run_of("task-1")) == WorkerStatus.RUNNING
-
-
-def test_a_run_that_nobody_is_at_is_lost_after_a_while(watched_launcher):
-    launcher, workers = watched_launcher
-    run = run_of("task-2")
-    assert status(launcher, run) == WorkerStatus.RUNNING
-    workers["now"] += 59
-    assert status(launcher, run) == WorkerStatus.RUNNING
-    workers["now"] += 2
-    health = launcher.check_run_worker_health(run)
-    assert health.status == WorkerStatus.NOT_FOUND
-    assert health.msg == "no worker has been at it for 61 s"
-
-
-@pytest.mark.parametrize("silence", [None, celery.OperationalError("refused"), ConnectionResetError()])
-def test_while_nobody_answers_nothing_is_lost_and_the_while_begins_anew(watched_launcher, silence):
-    launcher, workers = watched_launcher
-    run = run_of("task-2")
-    assert status(launcher, run) == WorkerStatus.RUNNING
-    workers |= {"answer": silence, "now": workers["now"] + 100}
-    assert status(launcher, run) == WorkerStatus.RUNNING
-    workers |= {"answer": AT_WORK, "now": workers["now"] + 100}
-    assert status(launcher, run) == WorkerStatus.RUNNING
-    workers["now"] += 61
-    assert status(launcher, run) == WorkerStatus.NOT_FOUND
+@pytest.mark.parametrize(
+    ("task", "looks"),
+    [
+        ("task-1", [(AT_WORK, 0, RUNNING)]),
+        ("task-2", [(AT_WORK, 0, RUNNING), (AT_WORK, 59, RUNNING), (AT_WORK, 2, LOST)]),
+        *(("task-2", [(AT_WORK, 0, RUNNING), (nobody, 100, RUNNING), (AT_WORK, 100, RUNNING), (AT_WORK, 61, LOST)])
+          for nobody in NOBODY),
+        (None, [(AT_WORK, 100, RUNNING)] * 3),
+    ],
+)  # fmt: skip
+def test_a_run_that_nobody_is_at_is_lost_after_a_while_in_which_workers_answer(watched_launcher, task, looks):
+    """A run that was never sent out is not the workers'."""
+    (launcher, workers), run = watched_launcher, run_of(task)
+    for answer, later_s, status in looks:
+        workers |= {"answer": answer, "now": workers["now"] + later_s}
+        health = launcher.check_run_worker_health(run)
+        assert health.status == status
+    assert health.msg == ("no worker has been at it for 61 s" if status == LOST else None)
 
 
 def test_workers_are_asked_once_for_all_runs_of_a_look(watched_launcher):
     launcher, workers = watched_launcher
-    status(launcher, run_of("task-1"))
-    workers["answer"] = RuntimeError("asked again")
-    assert status(launcher, run_of("task-1")) == WorkerStatus.RUNNING
-
-
-def test_a_run_that_was_never_sent_out_is_not_the_workers(watched_launcher):
-    launcher, workers = watched_launcher
-    run = run_of(None)
-    for _ in range(3):
-        workers["now"] += 100
-        assert status(launcher, run) == WorkerStatus.RUNNING
+    for answer in (AT_WORK, RuntimeError("asked again")):
+        workers["answer"] = answer
+        assert launcher.check_run_worker_health(run_of("task-1")).status == RUNNING
 
 
 def test_what_is_sent_is_acknowledged_when_it_begins_and_asks_for_no_result(watched_launcher):

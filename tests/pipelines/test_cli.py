@@ -1,15 +1,24 @@
 """The command as a tired engineer meets it: help everywhere, and one line that says what to do."""
 
+import importlib.metadata
 import json
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
+import polars as pl
 import pytest
 from command import hdt
+from typer.testing import CliRunner
 
 from benchmarks.fingerprint import fingerprint
+from benchmarks.fleets import fly
+from hdt_core.simulate.design import FleetSettings
+from pipelines.cli import load_extensions
+from pipelines.cli.base import ORDER, app
+from pipelines.cli.make import DEMO
 from pipelines.intake.scan import scan
 from pipelines.orchestration.around_night import lock_home
 from pipelines.report.words import finding, tidy
@@ -95,12 +104,8 @@ def test_what_is_no_landing_zone_is_said_at_once(tmp_path, command, make, help_s
     assert sorted((tmp_path / "home").iterdir()) == before
 
 
-def _folder(path: Path) -> None:
-    (path / "kept").mkdir(parents=True)
-
-
 REFUSED = {
-    "folder": _folder,
+    "folder": lambda path: (path / "kept").mkdir(parents=True),
     "pipe": os.mkfifo,
     "link to a folder": lambda path: path.symlink_to(path.parent),
     "link to a device": lambda path: path.symlink_to("/dev/null"),
@@ -127,7 +132,7 @@ def test_a_report_replaces_the_file_that_a_link_names(sample_home, tmp_path):
     assert "<html" in (tmp_path / "old.html").read_text()
 
 
-def test_an_idle_night_says_so_in_a_line(own_home):
+def test_an_idle_night_and_one_at_the_same_time_as_another_say_so_in_a_line(own_home):
     landing, home = own_home
     done = hdt("nightly", "--landing", landing, "--home", home)
     assert done.returncode == 0, done.stderr
@@ -135,6 +140,10 @@ def test_an_idle_night_says_so_in_a_line(own_home):
     summary = json.loads(hdt("nightly", "--landing", landing, "--home", home, "--json").stdout)
     assert summary["idle"]
     assert summary["seconds"] < 5
+    with lock_home(home):
+        done = hdt("nightly", "--landing", landing, "--home", home)
+    assert done.returncode == 2
+    assert "another run" in done.stderr
 
 
 def test_an_idle_night_mends_the_catalog(own_home):
@@ -151,14 +160,6 @@ def test_an_idle_night_mends_the_catalog(own_home):
     assert hdt("query", "--home", home, "select count(*) from flights").returncode == 0
     summary = json.loads(hdt("nightly", "--landing", landing, "--home", home, "--json").stdout)
     assert summary["catalog_fault"] is None
-
-
-def test_a_second_night_at_the_same_time_stops_with_a_clear_line(own_home):
-    landing, home = own_home
-    with lock_home(home):
-        done = hdt("nightly", "--landing", landing, "--home", home)
-    assert done.returncode == 2
-    assert "another run" in done.stderr
 
 
 def test_query_answers_and_says_what_is_wrong(sample_home):
@@ -259,3 +260,52 @@ def test_no_librarys_warning_reaches_the_terminal():
     )
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert (ended.stdout, ended.stderr) == ("", "")
+
+
+def typed_in(*words: str, **env: str) -> str:
+    done = CliRunner().invoke(app, list(words), env=env, prog_name="hdt")
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_help_lists_every_command_in_order_and_cuts_no_sentence():
+    load_extensions()
+    listed = typed_in("--help", COLUMNS="80").partition("Commands:")[2]
+    names = [line.split()[0] for line in listed.strip().splitlines()]
+    assert names == [*ORDER, *sorted(set(names) - set(ORDER))]
+    groups = {g.name for g in app.registered_groups}
+    assert {c.name or c.callback.__name__ for c in app.registered_commands} | groups == set(names)
+    assert "..." not in listed
+    assert typed_in("--version").strip() == importlib.metadata.version("hybrid-digital-twin")
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("hdt ni", ["nightly"]),
+        ("hdt b", ["backfill", "benchmark"]),
+        ("hdt nightly --dry", ["--dry-run"]),
+        ("hdt report --o", ["--out"]),
+    ],
+)
+def test_the_shell_completes_commands_and_options(typed, offered):
+    place = str(len(typed.split()) - 1)
+    assert typed_in(_HDT_COMPLETE="complete_bash", COMP_WORDS=typed, COMP_CWORD=place).split() == offered
+
+
+def test_the_shell_is_told_how_to_complete():
+    for shell, script in (("bash", "complete -o default"), ("zsh", "compdef"), ("fish", "complete")):
+        assert script in typed_in(_HDT_COMPLETE=f"source_{shell}")
+
+
+def test_its_last_night_has_open_alerts_and_a_history():
+    size = {name: value for name, value in DEMO.items() if name != "seed"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # samples of a pack that is off, as in every night
+        frames = fly(DEMO["seed"], FleetSettings(**size))
+    still = frames["alerts"].filter(pl.col("closed_at").is_null(), component="HX")
+    assert still.filter(severity="high").height >= 1
+    assert still["tail"].n_unique() >= 1
+    assert frames["lives"].filter("failed").height >= 1, "a message that a replacement answered"
+    loss = frames["features"].sort("departed_at").group_by("tail", "pack").last().get_column("hx_fouling")
+    assert loss.max() > 0.3

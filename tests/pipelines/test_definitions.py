@@ -17,9 +17,11 @@ from pipelines import partitions
 from pipelines.assets.stage import CHECK, _check_and_store
 from pipelines.definitions import build_defs
 from pipelines.lineage import LINEAGE, STAGE
+from pipelines.orchestration import jobs
 from pipelines.orchestration.local_executor import EngineError
 from pipelines.orchestration.runs import LOCATION, open_instance
 from pipelines.partitions import NIGHT
+from pipelines.resources import Home
 from pipelines.storage.headers import read_header
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import views
@@ -42,13 +44,21 @@ def specs(defs) -> dict[str, dg.AssetSpec]:
     return {"/".join(s.key.path): s for s in defs.resolve_all_asset_specs()}
 
 
-def test_there_is_an_asset_for_every_declared_table(specs):
+def test_there_is_an_asset_for_every_declared_table_behind_all_that_it_is_made_from(specs):
     assert set(specs) == {*TABLES, *(f"catalog/{view}" for view in views()), "report"}
     assert set(TABLES) == set(LINEAGE)
-
-
-def test_all_seven_stages_and_what_is_published_are_groups(specs):
     assert {s.group_name for s in specs.values()} == GROUPS
+    read = {d.asset_key.path[-1] for d in specs["report"].deps}
+    assert {"fleet_ranking", "alert_states", "quarantine"} <= read < set(views())
+    for table, recipe in LINEAGE.items():
+        upstream = {d.asset_key.path[-1] for d in specs[table].deps}
+        stems = {u.split("_")[0] for u in upstream}
+        for parent in recipe.parents:
+            assert parent in upstream or parent.split("_")[0] in stems, (table, parent, upstream)
+    alone = {key for key, spec in specs.items() if spec.automation_condition}
+    # none of what is made from files; nor what follows a baseline, which seldom moves when its parents do
+    files = {table for table, recipe in LINEAGE.items() if recipe.files or recipe.baseline or not recipe.parents}
+    assert alone == set(specs) - files
 
 
 @pytest.mark.parametrize("view", views())
@@ -57,11 +67,6 @@ def test_a_view_stands_behind_what_it_reads(specs, view):
     read = {name.removeprefix("tables.") if "." in name else f"catalog/{name}" for name in header.sources}
     assert {"/".join(d.asset_key.path) for d in spec.deps} == read
     assert spec.description.startswith(header.question)
-
-
-def test_the_report_stands_behind_the_views_it_shows(specs):
-    read = {d.asset_key.path[-1] for d in specs["report"].deps}
-    assert {"fleet_ranking", "alert_states", "quarantine"} <= read < set(views())
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -97,14 +102,6 @@ def test_an_account_that_does_not_balance_blocks():
         next(events)
 
 
-def test_what_the_ledger_calls_a_parent_is_a_dependency_in_the_graph(specs):
-    for table, recipe in LINEAGE.items():
-        upstream = {d.asset_key.path[-1] for d in specs[table].deps}
-        stems = {u.split("_")[0] for u in upstream}
-        for parent in recipe.parents:
-            assert parent in upstream or parent.split("_")[0] in stems, (table, parent, upstream)
-
-
 def test_schedule_and_sensor_are_there_and_off(defs):
     repository = defs.get_repository_def()
     assert [s.name for s in repository.schedule_defs] == ["every_night"]
@@ -114,17 +111,7 @@ def test_schedule_and_sensor_are_there_and_off(defs):
     assert repository.schedule_defs[0].default_status == dg.DefaultScheduleStatus.STOPPED
 
 
-def test_dagster_may_make_what_follows_from_assets_alone(specs):
-    """None of what is made from files; nor what follows a baseline, which seldom moves when its parents do."""
-    alone = {key for key, spec in specs.items() if spec.automation_condition}
-    files = {table for table, recipe in LINEAGE.items() if recipe.files or recipe.baseline or not recipe.parents}
-    assert alone == set(specs) - files
-
-
 def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing, tmp_path, monkeypatch):
-    from pipelines.orchestration import jobs
-    from pipelines.resources import Home
-
     home = Home(landing=str(sample_landing), home=str(tmp_path / "home"))
 
     def look():

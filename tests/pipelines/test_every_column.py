@@ -60,21 +60,15 @@ def zone():
     zone.cpl = {f: zone.only([f]).snapshots.drop("phase_code") for f in zone.flights}
     flight = zone.flights[0]
     moment = zone.snapshots["report_time"].min()
-    zone.messages = pl.DataFrame(
-        {"message_time": [moment], "flight_id": [flight], "pack": [2], "code": ["21-52-HXTEMP"], "text": [MARKUP]}
-    )
-    zone.maintenance = pl.DataFrame(
-        {
-            "done_on": [moment.date()],
-            "pack": [1],
-            "component": ["SENSOR"],
-            "action": ["ADJUSTED"],
-            "finding": ["NO_FAULT_FOUND"],
-            "reference": ["WO <i>7</i>"],
-            "serial_off": ["S/N 1 & 2"],
-            "serial_on": ["<s>3</s>"],
-        }
-    )
+    message = {"message_time": moment, "flight_id": flight, "pack": 2, "code": "21-52-HXTEMP", "text": MARKUP}
+    work = {"done_on": moment.date(), "pack": 1, "component": "SENSOR", "action": "ADJUSTED"}
+    work |= {
+        "finding": "NO_FAULT_FOUND",
+        "reference": "WO <i>7</i>",
+        "serial_off": "S/N 1 & 2",
+        "serial_on": "<s>3</s>",
+    }
+    zone.messages, zone.maintenance = pl.DataFrame([message]), pl.DataFrame([work])
     fleet = {"operator": "QQX", "tail": "Z9", "msn": "<u>41</u>", "delivered_on": date(2014, 6, 1), "packs": 2}
     zone.fleet = pl.DataFrame([fleet | {"type": "B787-767"}])
     return zone

@@ -1,4 +1,4 @@
-"""Blocks made side by side end as blocks made one after the other; no worker outlives its night."""
+"""Blocks made side by side end as made one after the other; no worker outlives its night; history in PostgreSQL."""
 
 import multiprocessing
 import os
@@ -8,13 +8,16 @@ import sys
 import time
 from pathlib import Path
 
+import dagster as dg
 import pytest
+from databases import SERVER, new_database
 from nights import Silent, stages_of, unfolded
 
 from benchmarks.fingerprint import fingerprint
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import around_night, batches, local_executor, nightly
+from pipelines.orchestration.runs import open_instance
 
 
 @pytest.fixture(scope="module")
@@ -116,3 +119,33 @@ def _lives(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except FileNotFoundError:
         return False
+
+
+SETTINGS = Path(__file__).parents[2] / "deploy/dagster.yaml"
+
+
+def cells(instance: dg.DagsterInstance) -> dict[str, set[str]]:
+    """Which cells of each asset have been made, by the instance's own account."""
+    tables = [t for stage in stages_of(0, 5) if stage.grain == "flight" for t in stage.tables]
+    return {t: set(instance.get_materialized_partitions(dg.AssetKey(t))) for t in tables}
+
+
+@pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
+def test_a_night_is_recorded_in_postgres_as_in_the_embedded_default(tmp_path, monkeypatch):
+    list(write_fleet(tmp_path, 3, FleetSettings(operators=1, tails=2, flights=12)))
+    monkeypatch.setattr(nightly, "STAGES", stages_of(0, 5))
+    (tmp_path / "production/dagster").mkdir(parents=True)
+    (tmp_path / "production/dagster/dagster.yaml").write_text(SETTINGS.read_text())
+    recorded = []
+    with new_database() as database:
+        monkeypatch.setenv("HDT_POSTGRES_URL", database)
+        for home in (tmp_path / "embedded", tmp_path / "production"):
+            night = nightly.run_night(tmp_path / "landing", home, Silent())
+            assert not night.failed, night.failed
+            instance = open_instance(home)
+            recorded.append((type(instance.event_log_storage).__name__, cells(instance)))
+            instance.dispose()
+    (embedded, first), (postgres, second) = recorded
+    assert (embedded, postgres) == ("BatchedSqliteEventLogStorage", "BatchedPostgresEventLogStorage")
+    assert first == second
+    assert all(len(c) >= 20 for name, c in first.items() if name in {"raw_snapshots", "legs_samples", "twin_flights"})

@@ -1,50 +1,37 @@
-"""One night after another: idle, one flight more, files late or twice or broken, an aircraft that fails."""
+"""One night after another: idle, one flight more, files late or twice or broken, an aircraft or a hook that fails."""
 
 import shutil
+from importlib.metadata import EntryPoint
 
 import dagster as dg
 import polars as pl
-import pytest
 from nights import keep_base, run
 
+from pipelines.assets import raw as raw_assets
+from pipelines.orchestration import around_night
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.catalog import connect
+from pipelines.storage.store import Store
 
 COMPARED = (
-    "raw_snapshots",
-    "raw_flights",
-    "legs_samples",
-    "calibration_dsm",
-    "twin_flights",
-    "twin_health",
-    "features",
+    "raw_snapshots", "raw_flights", "legs_samples", "calibration_dsm", "twin_flights", "twin_health", "features",
     "prognoses",
-)
+)  # fmt: skip
 
 
 def made_since(home, asset: str, since: float) -> set[str]:
     """Partitions of an asset materialised after `since`."""
-    instance = open_instance(home)
-    try:
-        records = instance.fetch_materializations(
-            dg.AssetRecordsFilter(dg.AssetKey(asset), after_timestamp=since), limit=10_000
-        )
-        return {r.partition_key for r in records.records}
-    finally:
-        instance.dispose()
+    wanted = dg.AssetRecordsFilter(dg.AssetKey(asset), after_timestamp=since)
+    with open_instance(home) as instance:
+        return {r.partition_key for r in instance.fetch_materializations(wanted, limit=10_000).records}
 
 
 def last_time(home) -> float:
-    instance = open_instance(home)
-    try:
+    with open_instance(home) as instance:
         return max(r.timestamp for r in instance.fetch_materializations(dg.AssetKey("prognoses"), limit=1).records)
-    finally:
-        instance.dispose()
 
 
 def tables(home) -> dict[str, pl.DataFrame]:
-    from pipelines.storage.store import Store
-
     frames = {t: Store(home).read_table(t) for t in COMPARED}
     return {t: f.sort([c for c in f.columns if f[c].dtype != pl.Binary]) for t, f in frames.items()}
 
@@ -59,15 +46,9 @@ def test_a_night_without_new_content_makes_nothing(own_home):
     assert not made_since(home, "raw_flights", before)
 
 
-@pytest.fixture
-def newest(own_home):
-    """The last flight of one aircraft, taken out of landing zone and home as if it had not come yet."""
-    landing, _ = own_home
-    return max((landing / "AQX/LX-AAB/acms").glob("*.csv"))
-
-
-def test_one_new_flight_makes_that_flight_and_no_other(own_home, newest):
+def test_one_new_flight_makes_that_flight_and_no_other(own_home):
     landing, home = own_home
+    newest = max((landing / "AQX/LX-AAB/acms").glob("*.csv"))
     text = newest.read_text()
     flight = newest.stem[:-2] + "99"
     newest.with_name(f"{flight}.csv").write_text(text.replace(newest.stem, flight))
@@ -79,9 +60,7 @@ def test_one_new_flight_makes_that_flight_and_no_other(own_home, newest):
         assert made_since(home, asset, before) == {cell}, asset
     for asset in ("twin_health", "features", "features_alerts"):
         assert made_since(home, asset, before) == {"AQX:LX-AAB"}, asset
-    assert not made_since(home, "calibration_dsm", before), (
-        "a flight after commissioning must not recalibrate the model"
-    )
+    assert not made_since(home, "calibration_dsm", before), "a flight after commissioning recalibrates no model"
 
 
 def test_late_twice_and_out_of_order_ends_as_a_clean_delivery(sample_landing, sample_home, tmp_path):
@@ -106,9 +85,7 @@ def test_late_twice_and_out_of_order_ends_as_a_clean_delivery(sample_landing, sa
         assert ours.equals(theirs), name
 
 
-def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, newest, monkeypatch):
-    import pipelines.assets.raw as raw_assets
-
+def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, monkeypatch):
     landing, home = own_home
     real = raw_assets.ingest_flights
     added = []
@@ -135,3 +112,15 @@ def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, newest, monk
     assert not run(landing, home).failed
     with connect(home) as con:
         assert con.execute("select count(*) from flights where flight_id = ?", [added[0]]).fetchone()[0] == 1
+
+
+def test_a_hook_that_fails_or_is_not_there_keeps_none_of_the_others(monkeypatch, tmp_path):
+    values = {"c": "posixpath:exists_not", "b": "posixpath:islink", "a": "no_such_module:f", "d": ""}
+    points = [EntryPoint(name, value, "hdt.after_night") for name, value in values.items()]
+    monkeypatch.setattr(around_night, "entry_points", lambda group: points)
+    load = EntryPoint.load
+    monkeypatch.setattr(EntryPoint, "load", lambda p: (lambda home: {"home": home.name}) if p.name == "d" else load(p))
+    result, failed = around_night.call_hooks(tmp_path)
+    assert result == {"home": tmp_path.name}
+    assert [line[:2] for line in failed] == ["a:", "b:", "c:"]
+    assert "no_such_module" in failed[0]

@@ -1,10 +1,13 @@
-"""The order of runs follows from what the stages are made from."""
+"""The order of runs follows from what the stages are made from; how cells are shared out to them."""
 
 from itertools import permutations
 
+import polars as pl
 import pytest
 
 from pipelines.lineage import STAGE, STAGES, declare_stage, steps
+from pipelines.orchestration import batches
+from pipelines.orchestration.runs import Runner
 
 
 def test_every_stage_is_made_once_and_after_what_it_needs():
@@ -18,9 +21,10 @@ def test_every_stage_is_made_once_and_after_what_it_needs():
     assert there == {table for stage in STAGES for table in stage.tables}
 
 
-def test_a_night_takes_seven_runs():
+def test_a_night_takes_seven_runs_each_with_a_name():
     """Fleet, aircraft and flights are taken in; the model; flights, aircraft and fleet are followed with it."""
     assert [s.grain for s in steps(STAGES)] == ["fleet", "aircraft", "flight", "fleet", "flight", "aircraft", "fleet"]
+    assert all(any(stage.label for stage in step.stages) for step in steps(STAGES))
 
 
 HEALTH = {"twin_health", "legs_admitted", "features", "features_alerts"}
@@ -40,10 +44,6 @@ def test_of_a_run_only_stages_are_made_that_follow_from_a_stale_one(stale, made)
     assert step.tables([]) == []
 
 
-def test_every_run_has_a_name():
-    assert all(any(stage.label for stage in step.stages) for step in steps(STAGES))
-
-
 CHAIN = (
     declare_stage("one", "any", "raw_flights"),
     declare_stage("two", "any", "legs_samples", parents=("raw_flights",)),
@@ -61,3 +61,161 @@ def test_a_circle_is_named():
     circle = declare_stage("legs", "any", "legs_samples", parents=("residuals",))
     with pytest.raises(ValueError, match="form a cycle: legs, residuals"):
         steps([circle, declare_stage("residuals", "any", "residuals", parents=("legs_samples",))])
+
+
+KEYS = ["AAA:T1", "AAA:T2", "AAA:T3", "BBB:T4"]
+FLIGHTS = [f"2026010{day}_01" for day in range(1, 6)]
+
+
+@pytest.fixture(autouse=True)
+def room_for_ten(monkeypatch):
+    """Ten flights a run."""
+    monkeypatch.setattr(batches, "CELLS_A_RUN", 10)
+
+
+def cells_of(*rows: tuple[str, str, str]) -> pl.DataFrame:
+    return pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
+
+
+def shared(flights: dict[str, int], keys: list[str]) -> list[tuple[str, ...]]:
+    index = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(n)} for key, n in flights.items()})
+    rows = [(*k.split(":"), "") for k in keys]
+    cells = cells_of(*rows)
+    return [tuple(batch.aircraft) for batch in index.batches("aircraft", cells, ranges=True)]
+
+
+@pytest.mark.parametrize(
+    ("each", "expected"),
+    [
+        (5, [("AAA:T1", "AAA:T2"), ("AAA:T3", "BBB:T4")]),
+        (6, [("AAA:T1",), ("AAA:T2",), ("AAA:T3",), ("BBB:T4",)]),
+        (99, [("AAA:T1",), ("AAA:T2",), ("AAA:T3",), ("BBB:T4",)]),
+        (1, [tuple(KEYS)]),
+    ],
+)
+def test_aircraft_share_a_run_up_to_a_number_of_flights(each, expected):
+    assert shared(dict.fromkeys(KEYS, each), KEYS) == expected
+
+
+def test_processes_share_runs_evenly():
+    """Two of 20 flights and one of 10 would keep one process waiting for the other's last."""
+    keys = [f"AAA:T{i:02}" for i in range(50)]
+    index = batches.PartitionIndex(keys, [], {key: {"1"} for key in keys})
+    cells = cells_of(*(("AAA", key[4:], "") for key in keys))
+    assert [b.size for b in index.batches("aircraft", cells, batch_factor=2, n_processes=2)] == [13, 13, 13, 11]
+    assert [b.size for b in index.batches("aircraft", cells, batch_factor=2)] == [17, 17, 16]
+
+
+def test_an_aircraft_that_is_not_wanted_parts_the_range():
+    assert shared(dict.fromkeys(KEYS, 1), [KEYS[0], *KEYS[2:]]) == [("AAA:T1",), ("AAA:T3", "BBB:T4")]
+
+
+def test_batches_of_flights_hold_the_wanted_cells_and_no_other():
+    flown = {"AAA:T1": {*FLIGHTS}, "AAA:T2": {*FLIGHTS[1:4]}, "BBB:T4": {FLIGHTS[0], FLIGHTS[4]}}
+    index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
+    expected_cells = {("AAA:T1", f) for f in FLIGHTS if f != FLIGHTS[2]} | {("AAA:T2", f) for f in FLIGHTS[1:4]}
+    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in expected_cells]
+    cells = cells_of(*rows)
+    batch_cells = [cell for batch in index.batches("flight", cells, ranges=True) for cell in batch.partition_keys()]
+    assert sorted(batch_cells) == sorted(f"{a}|{f}" for a, f in expected_cells)
+
+
+def test_a_long_history_takes_several_runs(monkeypatch):
+    monkeypatch.setattr(batches, "CELLS_A_RUN", 2)
+    index = batches.PartitionIndex(KEYS[:1], FLIGHTS, {KEYS[0]: {*FLIGHTS}})
+    cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": [f"T1_{f}" for f in FLIGHTS]})
+    runs = list(index.batches("flight", cells))
+    ends = [(FLIGHTS[a], FLIGHTS[b], n) for a, b, n in ((0, 1, 2), (2, 3, 2), (4, 4, 1))]
+    assert [(*b.flights, b.size) for b in runs] == ends
+
+
+def test_what_is_new_of_many_aircraft_on_many_days_is_one_run_of_those_cells_alone():
+    flown = {key: {*FLIGHTS} for key in KEYS}
+    index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
+    pairs = list(zip(KEYS, (FLIGHTS[3], FLIGHTS[0], FLIGHTS[4], FLIGHTS[1]), strict=True))
+    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in pairs]
+    cells = cells_of(*rows)
+    assert len(list(index.batches("flight", cells, ranges=True))) == 4
+    (one,) = index.batches("flight", cells)
+    assert sorted(one.partition_keys()) == sorted(f"{a}|{f}" for a, f in pairs)
+    assert one.ends() == (f"{KEYS[0]}|{FLIGHTS[0]}", f"{KEYS[-1]}|{FLIGHTS[4]}")
+    assert [part.aircraft for part in one.parts()] == [[key] for key in KEYS]
+
+
+def test_scattered_cells_share_a_run_up_to_its_number_of_flights():
+    index = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(4)} for key in KEYS})
+    cells = cells_of(("AAA", "T1", ""), ("AAA", "T3", ""))
+    (one,) = index.batches("aircraft", cells)
+    assert one.partition_keys() == ["AAA:T1", "AAA:T3"]
+    index = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(6)} for key in KEYS})
+    assert len(list(index.batches("aircraft", cells))) == 2
+
+
+def test_a_range_of_flights_reaches_over_aircraft_only_where_no_other_was_flown():
+    flown = {"AAA:T1": {FLIGHTS[0], FLIGHTS[1]}, "AAA:T2": {FLIGHTS[1]}, "AAA:T3": {FLIGHTS[0]}, "BBB:T4": set()}
+    index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
+    rows = [("AAA", "T1", f"T1_{FLIGHTS[1]}"), ("AAA", "T2", f"T2_{FLIGHTS[1]}"), ("AAA", "T3", f"T3_{FLIGHTS[0]}")]
+    cells = cells_of(*rows)
+    keys = [batch.partition_keys() for batch in index.batches("flight", cells, ranges=True)]
+    assert keys == [[f"AAA:T1|{FLIGHTS[1]}", f"AAA:T2|{FLIGHTS[1]}"], [f"AAA:T3|{FLIGHTS[0]}"]]
+
+
+def test_a_batch_of_one_aircraft_is_parted_into_halves_and_a_single_cell_not_at_all():
+    batch = batches.PartitionBatch(tuple((KEYS[0], f) for f in FLIGHTS), (FLIGHTS[0], FLIGHTS[-1]))
+    one, two = batch.parts()
+    assert one.partition_keys() + two.partition_keys() == batch.partition_keys()
+    assert (one.flights, two.flights) == ((FLIGHTS[0], FLIGHTS[1]), (FLIGHTS[2], FLIGHTS[4]))
+    assert batches.PartitionBatch(((KEYS[0], ""),)).parts() == batches.PartitionBatch().parts() == []
+
+
+class Together(Runner):
+    """Fails where several aircraft share a run, and for some aircraft always."""
+
+    bad: tuple[str, ...] = ()
+
+    def _run(self, tables, batch, label):
+        return "no" if len(batch.aircraft) > 1 or set(batch.aircraft) & set(self.bad) else None
+
+    def _bisect_failed_batch(self, tables, batch, why, label):
+        return 0, why
+
+
+def test_a_run_that_only_fails_for_several_aircraft_at_once_is_told(monkeypatch):
+    batch = batches.PartitionBatch(tuple((key, "") for key in KEYS))
+    done = Together(None, None, None, {}).make([], batch, "alerts")
+    assert (done.runs, done.failed) == (5, {})
+    assert done.repairs == ("alerts: a run of 4 aircraft stopped, so each was made alone; report it: no",)
+    monkeypatch.setattr(Together, "bad", (KEYS[1],))
+    done = Together(None, None, None, {}).make([], batch, "alerts")
+    assert (done.failed, done.repairs) == ({f"alerts: {KEYS[1]}": "no"}, ())
+
+
+class Apart(Runner):
+    """A runner whose whole batch fails and whose parts do not."""
+
+    def _run(self, tables, batch, label):
+        return "disk full" if len(batch.cells) == 4 else None
+
+
+def test_a_batch_of_one_aircraft_whose_halves_are_made_is_mended_and_not_failed():
+    batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(4)))
+    done = Apart(None, None, None, {}).make([], batch, "twins")
+    line = "twins: a run of 1 aircraft stopped, so each part was made alone; report it: disk full"
+    assert (done.runs, done.failed, done.repairs) == (3, {}, (line,))
+
+
+class Halved(Runner):
+    """A runner whose two bad flights fail for one reason, and a third for its own."""
+
+    def _run(self, tables, batch, label):
+        flown = {flight for _, flight in batch.cells}
+        return "boom" if flown & {"3", "6"} else "bang" if "5" in flown else None
+
+    def _describe_flights(self, batch):
+        return f"flight {batch.flights[0]}"
+
+
+def test_each_reason_is_told_once_with_the_flights_it_stopped():
+    batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(8)))
+    done = Halved(None, None, None, {}).make([], batch, "twins")
+    assert list(done.failed.values()) == ["flight 3, flight 6: boom; flight 5: bang"]

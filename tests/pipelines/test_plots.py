@@ -65,10 +65,14 @@ def test_dots_are_the_flights_and_the_other_system_is_the_same_converted(calibra
     assert (si.get_ylabel().split()[-1], us.get_ylabel().split()[-1]) in {("m³", "in³"), ("mm", "in")}
 
 
-def test_figure_15_converts_temperatures_and_their_differences(calibrated):
+def test_figure_15_shows_what_the_twins_flight_leaves_over_and_converts_it(calibrated):
     fleet, dsm, flights = calibrated
     one = (pl.col("flight_id") == fleet.samples["flight_id"][-1]) & (pl.col("pack") == 1)
     rows = outlet_residuals(fleet.samples.filter(one), flights.filter(one), dsm)
+    assert rows.height == fleet.samples.filter(one).height
+    # a flight's own level is its median: its samples scatter about zero by the sensors' noise
+    assert abs(rows["sensor_minus_twin"].median()) < 0.3
+    assert rows["sensor_minus_twin"].std() < 1.5
     (upper, lower), (upper_us, lower_us) = (figure_15(rows, system).axes for system in ("si", "us"))
     sensor, twin, _ = (line.get_ydata() for line in upper.lines)
     assert sensor == pytest.approx(rows["hx_out_k"].to_numpy() - 273.15)
@@ -80,16 +84,6 @@ def test_figure_15_converts_temperatures_and_their_differences(calibrated):
 def test_an_image_is_the_same_bytes_whatever_was_drawn_before(calibrated):
     _, dsm, flights = calibrated
     assert as_svg(figure_12(flights, dsm.compressor)) == as_svg(figure_12(flights, dsm.compressor))
-
-
-def test_residual_of_the_twin_is_what_its_flight_leaves_over(calibrated):
-    fleet, dsm, flights = calibrated
-    one = (pl.col("flight_id") == fleet.samples["flight_id"][-1]) & (pl.col("pack") == 1)
-    residuals = outlet_residuals(fleet.samples.filter(one), flights.filter(one), dsm)
-    assert residuals.height == fleet.samples.filter(one).height
-    # a flight's own level is its median: its samples scatter about zero by the sensors' noise
-    assert abs(residuals["sensor_minus_twin"].median()) < 0.3
-    assert residuals["sensor_minus_twin"].std() < 1.5
 
 
 def test_the_deepest_loss_before_a_replacement_is_shown_from_the_first_flight_after_it():

@@ -1,15 +1,21 @@
-"""Fleets unlike the sample: other names, little data, odd columns, files piecemeal. Every night ends sound."""
+"""Fleets unlike the sample, files in wrong units, a flight that a stage fails at: each night ends sound and says so."""
 
-from collections.abc import Callable, Iterator
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import polars as pl
 import pytest
 from nights import keep_base, run
+from polars.exceptions import PanicException
 from soundness import faults
 from zones import drop_fleet, simulated
 
+import pipelines.assets.twin as twin_assets
 from benchmarks.fingerprint import fingerprint
+from pipelines.cli.doctor import examine
+from pipelines.report.page import write_report
+from pipelines.storage.catalog import connect
 
 Deliveries = Iterator[None]
 COMPRESSOR = ("cc_speed_rpm", "cc_in_degc", "cc_in_psia", "cc_out_degc", "cc_out_psia", "cc_flow_lbpm", "vda_pos")
@@ -115,14 +121,18 @@ SCENARIOS = (
 )
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda f: f.__name__)
-def test_every_night_is_sound_and_ends_where_one_night_would(
-    scenario: Callable[[Path], Deliveries], sample_home: Path, tmp_path: Path
-):
+@pytest.fixture
+def folders(sample_home, tmp_path) -> tuple[Path, Path]:
+    """A landing zone without a file, and a home that has seen none."""
     landing, home = tmp_path / "landing", tmp_path / "home"
     landing.mkdir()
     keep_base(sample_home, home)
-    nights = 0
+    return landing, home
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda f: f.__name__)
+def test_every_night_is_sound_and_ends_where_one_night_would(scenario, folders, sample_home, tmp_path):
+    (landing, home), nights = folders, 0
     for _ in scenario(landing):
         night, nights = run(landing, home), nights + 1
         assert night.failed == {}
@@ -134,8 +144,8 @@ def test_every_night_is_sound_and_ends_where_one_night_would(
         assert fingerprint(home) == fingerprint(clean)
 
 
-def test_a_file_that_comes_again_broken_takes_nothing_away(sample_home, tmp_path):
-    landing, home = tmp_path / "landing", tmp_path / "home"
+def test_a_file_that_comes_again_broken_takes_nothing_away(folders):
+    landing, home = folders
     zone = simulated(15, 3, operator="QQX", tail="Z9")
     drop_fleet(landing, [zone])
     zone.drop_csv(landing)
@@ -143,7 +153,6 @@ def test_a_file_that_comes_again_broken_takes_nothing_away(sample_home, tmp_path
     messages, work = (zone.folder(landing) / f"{name}.csv" for name in ("messages", "maintenance"))
     messages.write_text(f"message_time,flight_id,pack,code,text\n2024-03-04T09:00:00Z,{last.stem},1,21-52-HXTEMP,\n")
     work.write_text("done_on,pack,component,action,finding,reference\n2024-03-05,1,HX,CLEANED,FOULED,\n")
-    keep_base(sample_home, home)
     run(landing, home)
     whole = fingerprint(home)
     contents = {file: file.read_bytes() for file in (last, messages, work, landing / "fleet.csv")}
@@ -159,12 +168,124 @@ def test_a_file_that_comes_again_broken_takes_nothing_away(sample_home, tmp_path
     assert fingerprint(home) == whole
 
 
-def test_the_report_of_a_home_without_a_flight_is_a_page(sample_home, tmp_path):
-    from pipelines.report.page import write_report
-
-    landing, home = tmp_path / "landing", tmp_path / "home"
-    landing.mkdir()
-    keep_base(sample_home, home)
+def test_the_report_of_a_home_without_a_flight_is_a_page(folders, tmp_path):
+    landing, home = folders
     run(landing, home)
     write_report(home, tmp_path / "report.html")
     assert "</html>" in (tmp_path / "report.html").read_text()
+
+
+def check(home):
+    return next(c for c in examine(None, home) if c.name == "units and wiring")
+
+
+def test_what_is_written_otherwise_than_agreed_is_told(folders, sample_home):
+    landing, home = folders
+    zones = [simulated(31 + k, 3, operator=o, tail=t) for k, (o, t) in enumerate([("QQX", "Z9"), ("QQY", "Z9")])]
+    swapped, fahrenheit, _ = zones[0].flights
+    one, other = pl.col("hx_in_degc"), pl.col("hx_out_degc")
+    wrong, warm = pl.col("flight_id") == swapped, pl.col("flight_id") == fahrenheit
+    zones[0].snapshots = zones[0].snapshots.with_columns(
+        pl.when(wrong).then(other).otherwise(one).alias("hx_in_degc"),
+        pl.when(wrong).then(one).otherwise(other).alias("hx_out_degc"),
+        pl.when(warm).then(pl.col("tat_degc") * 1.8 + 32).otherwise("tat_degc").alias("tat_degc"),
+    )
+    zones[0].maintenance = pl.DataFrame(
+        {"done_on": ["1900-01-01", "2024-03-05"], "pack": [1, 3], "component": ["HX", "HX"],
+         "action": ["REPLACED", "REPLACED"], "finding": ["", ""], "reference": ["WO1", "WO2"]}
+    )  # fmt: skip
+    drop_fleet(landing, zones)
+    for zone in zones:
+        zone.drop_csv(landing)
+    zones[0].drop_papers(landing)
+    assert run(landing, home).failed == {}
+    assert faults(home, landing) == []
+    with connect(home) as con:
+        entries = con.execute(
+            "select distinct file, reason, column_name from quarantine where scope != 'value'"
+        ).fetchall()
+    assert set(entries) == {
+        (f"QQX/Z9/acms/{swapped}.csv", "swapped_columns", "hx_in_degc, hx_out_degc"),
+        (f"QQX/Z9/acms/{fahrenheit}.csv", "wrong_unit", "tat_degc"),
+        ("QQX/Z9/maintenance.csv", "too_early", "done_on"),
+        ("QQX/Z9/maintenance.csv", "bad_pack", "pack"),
+        ("QQX/Z9", "tail_of_two_operators", None),
+        ("QQY/Z9", "tail_of_two_operators", None),
+    }
+    assert check(sample_home).well
+    assert not check(home).well
+    assert f"QQX/Z9/acms/{swapped}.csv: hx_in_degc, hx_out_degc swapped columns" in check(home).message
+
+
+FLIGHTS, BROKEN = 7, "breaks_declaration"
+
+
+@pytest.fixture(scope="module")
+def zone():
+    return simulated(23, FLIGHTS, operator="QQX", tail="Z9")
+
+
+@pytest.fixture
+def seven(zone, folders):
+    """A landing zone of seven flights, and a home that has seen none."""
+    drop_fleet(folders[0], [zone])
+    zone.drop_csv(folders[0])
+    return folders
+
+
+def stored(home) -> set[str]:
+    with connect(home) as con:
+        return {f for (f,) in con.execute("select distinct flight_id from tables.twin_flights").fetchall()}
+
+
+@pytest.mark.parametrize("error", [RuntimeError, PanicException])
+def test_a_flight_that_makes_a_stage_fail_is_found_and_named(error, zone, seven, monkeypatch):
+    landing, home = seven
+    sick = zone.flights[4]
+    real = twin_assets.estimate_flights
+
+    def estimate(samples, dsm):
+        if sick in samples["flight_id"]:
+            raise error("matrix is singular")
+        return real(samples, dsm)
+
+    monkeypatch.setattr(twin_assets, "estimate_flights", estimate)
+    night = run(landing, home)
+    (reason,) = (why for where, why in night.failed.items() if where == "operational twins: QQX:Z9")
+    assert reason.startswith(f"{sick} (QQX/Z9/acms/{sick}.csv): ")
+    assert "matrix is singular" in reason
+    assert stored(home) == set(zone.flights) - {sick}
+    again = run(landing, home)
+    assert [why for where, why in again.failed.items() if where.startswith("operational")] == [reason]
+    assert again.cells < 3 * FLIGHTS  # its own, and what follows from it
+
+
+def test_a_row_that_breaks_its_declaration_is_set_aside_and_the_others_are_stored(zone, seven, monkeypatch):
+    landing, home = seven
+    sick = zone.flights[2]
+    real = twin_assets.estimate_flights
+
+    def estimate(samples, dsm):
+        odd = (pl.col("flight_id") == sick) & (pl.col("pack") == 2)
+        return real(samples, dsm).with_columns(
+            pl.when(odd).then(float("inf")).otherwise("flows_apart_ln").alias("flows_apart_ln")
+        )
+
+    monkeypatch.setattr(twin_assets, "estimate_flights", estimate)
+    assert run(landing, home).failed == {}
+    assert faults(home, landing) == []
+    with connect(home) as con:
+        (row,) = con.sql("select * from quarantine").pl().filter(reason=BROKEN).rows(named=True)
+        n = con.execute("select count(*) from tables.twin_flights").fetchone()[0]
+    assert n == 2 * FLIGHTS - 1
+    assert (row["file"], row["flight_id"], row["column_name"]) == (f"QQX/Z9/acms/{sick}.csv", sick, "flows_apart_ln")
+    assert "flows_apart_ln is infinite" in row["detail"]
+    assert (row["scope"], row["n_rows"], row["operator"], row["tail"]) == ("result", 0, "QQX", "Z9")
+    assert '"pack": 2' in row["content"]
+    assert run(landing, home).idle
+    monkeypatch.undo()
+    file = landing / "QQX/Z9/acms" / f"{sick}.csv"
+    shutil.copy(file, file.with_name(f"{sick} (1).csv"))  # the flight is made again
+    assert run(landing, home).failed == {}
+    with connect(home) as con:
+        assert BROKEN not in con.sql("select reason from quarantine").pl()["reason"].to_list()

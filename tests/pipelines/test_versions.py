@@ -39,17 +39,11 @@ def flights(frame: pl.DataFrame) -> set[str]:
     return set(frame["flight_id"])
 
 
-def test_nothing_is_stale_after_it_was_made(ledger):
+def test_nothing_is_stale_after_it_was_made_but_the_flight_of_a_second_file(ledger):
     for table in ("raw_flights", "legs_samples", "calibration_dsm", "twin_flights"):
         assert stale_cells_of(ledger, [table]).is_empty(), table
-
-
-def test_a_file_delivered_again_with_the_same_content_changes_nothing(ledger):
     deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b1")
     assert stale_cells_of(ledger, ["raw_flights"]).is_empty()
-
-
-def test_a_second_file_for_a_flight_makes_that_flight_stale(ledger):
     deliver(ledger, A, "LX-AAA_20240502_01.csv", ["LX-AAA_20240502_01"], "c1")
     assert flights(stale_cells_of(ledger, ["raw_flights"])) == {"LX-AAA_20240502_01"}
 

@@ -41,19 +41,11 @@ def catalog(language: str):
         return read_po(file, locale=language)
 
 
-def test_there_is_a_language_beside_english():
-    assert "de" in OTHERS
-
-
 @pytest.mark.parametrize("language", OTHERS)
-def test_no_message_is_missing_and_none_is_left_over(language):
+def test_every_message_is_translated_with_all_its_values_and_compiled_and_none_is_left_over(language):
     """`python -m docs.translations` finds them anew."""
     collected, translated = ({m.id for m in c if m.id} for c in (translations.collect_messages(), catalog(language)))
     assert translated == collected
-
-
-@pytest.mark.parametrize("language", OTHERS)
-def test_every_message_is_translated_with_all_its_values(language):
     for message in catalog(language):
         if message.id:
             assert not message.fuzzy
@@ -61,10 +53,6 @@ def test_every_message_is_translated_with_all_its_values(language):
             for one, translation in zip(forms(message.id), forms(message.string), strict=True):
                 assert fields(translation) == fields(one), message.id
                 assert translation.count("%") == one.count("%"), message.id
-
-
-@pytest.mark.parametrize("language", OTHERS)
-def test_what_is_read_at_run_time_is_what_was_translated(language):
     compiled = BytesIO()
     write_mo(compiled, catalog(language))
     assert compiled.getvalue() == (FOLDER / f"{language}.mo").read_bytes()
@@ -75,16 +63,12 @@ def filled(phrase: str) -> str:
 
 
 @pytest.mark.parametrize("phrase", PHRASES)
-def test_a_phrase_is_known_again_with_its_values(phrase):
+def test_a_phrase_is_known_again_with_its_values_and_retold_as_it_was_translated(phrase):
     match = pattern_of(phrase).fullmatch(filled(phrase))
     assert match is not None
     assert {k: v for k, v in match.groupdict().items() if k != "small"} == {
         k: SAMPLE.get(k, "7") for k in fields(phrase)
     }
-
-
-@pytest.mark.parametrize("phrase", PHRASES)
-def test_a_phrase_is_retold_as_it_was_translated(phrase):
     with use_language("de"):
         retold = translate_evidence(filled(phrase))
     to = next(m.string for m in catalog("de") if m.id == phrase)
@@ -118,8 +102,6 @@ def test_numbers_are_written_as_the_language_writes_them():
         assert words.number(-1234.5, 1) == "\N{MINUS SIGN}1\N{NO-BREAK SPACE}234,5"
         assert words.several("{n} flight", "{n} flights", 1) == "1 Flug"
     assert words.several("{n} flight", "{n} flights", 1200) == "1,200 flights"
-
-
-def test_a_language_that_is_not_there_ends_in_one_line():
+    assert "de" in OTHERS
     with pytest.raises(UserError, match="no language xx; there are en, de"), use_language("xx"):
         pass
