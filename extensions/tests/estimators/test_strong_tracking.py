@@ -1,12 +1,14 @@
-"""Filters that forget: what jumps is followed, what stands still is not blurred, and the statement stays honest."""
+"""Filters that forget follow what jumps and blur nothing else; gains of further sensors are as in closed form."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from compressor_problem import AREA_M2, BETA_RAD, DIAMETER_M, SPEED_RAD_S, compressor, flow_kg_s
 
-from hdt_core.estimation import Belief, ExtendedKalman, Problem
+from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem
 from hdt_estimators import RecursiveLeastSquares, StrongTracking
+from hdt_estimators.experiment import Candidate, rank_sensors
 from hdt_estimators.strong_tracking import classify
 
 JUMP_AT, N = 120, 240
@@ -43,20 +45,16 @@ def test_without_a_jump_it_is_the_plain_filter():
 
 def test_classification_tells_the_jump_and_its_time():
     problem = gain_record(2)
-    classification = classify(
-        problem.names, StrongTracking().estimate(problem), Belief(np.array([1.0]), np.array([[0.02**2]]))
-    )
-    first = classification.first()["gain"]
+    nominal = Belief(np.array([1.0]), np.array([[0.02**2]]))
+    first = classify(problem.names, StrongTracking().estimate(problem), nominal).first()["gain"]
     assert first is not None
     assert JUMP_AT <= first <= JUMP_AT + 20
     quiet = gain_record(3, after=1.0)
-    none = classify(quiet.names, StrongTracking().estimate(quiet), Belief(np.array([1.0]), np.array([[0.02**2]])))
+    none = classify(quiet.names, StrongTracking().estimate(quiet), nominal)
     assert none.first()["gain"] is None or none.probability[JUMP_AT:].max() < 0.95
 
 
 def test_classification_needs_a_path():
-    from hdt_core.estimation import NonlinearLeastSquares
-
     problem = gain_record(0)
     with pytest.raises(ValueError, match="path"):
         classify(problem.names, NonlinearLeastSquares().estimate(problem), problem.prior)
@@ -85,3 +83,32 @@ def test_intervals_hold_what_they_promise(estimator):
         belief = estimator.estimate(replace(whole, measured=whole.measured[:80])).belief
         inside.append(abs(belief.mean[0] - 1.0) < 1.6449 * belief.sd[0])
     assert np.mean(inside) == pytest.approx(0.9, abs=0.07)  # 120 records: two and a half times 0.027
+
+
+def test_the_sensor_that_breaks_the_tie_is_ranked_first():
+    problem = compressor()
+    at = np.array([AREA_M2, DIAMETER_M, BETA_RAD])
+    candidates = [
+        Candidate("a second flow meter", 0.005, lambda _x, theta, i: flow_kg_s(theta, i)[None]),
+        Candidate("inlet velocity", 1.0, lambda _x, t, i: (0.5 * t[1] * SPEED_RAD_S[i] * np.tan(t[2]))[None]),
+    ]
+    gains = rank_sensors(problem, at, candidates)
+    assert [g.name for g in gains] == ["inlet velocity", "a second flow meter"]
+    assert gains[0].nats > gains[1].nats > 0.0
+    # velocity gives the area: to the flow's and its own relative error, over forty samples
+    assert gains[0].sd[0] / AREA_M2 < 0.01
+    assert gains[1].sd[0] / AREA_M2 > 0.1
+
+
+def test_a_sensor_brings_half_the_growth_of_the_log_determinant():
+    """Without data or prior a parameter is known to its bounds' width, a held one exactly."""
+    bounds = np.array([[0.0, 4.0], [-1.0, 9.0], [2.0, 2.0]])
+    blank = Problem(("a", "b", "c"), bounds, Belief(np.zeros(3), np.diag([np.inf, 4.0, 0.5])), np.full((3, 1), np.nan),
+                    np.ones(1), lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
+    first = Candidate("first", 0.5, lambda _x, t, i: (2.0 * t[0] + 0.0 * i)[None])
+    second = Candidate("second", 2.0, lambda _x, t, i: (t[1] + 0.0 * i)[None])
+    gains = rank_sensors(blank, np.array([1.0, 1.0, 2.0]), [second, first])
+    assert [g.name for g in gains] == ["first", "second"]
+    assert gains[0].nats == pytest.approx(0.5 * np.log(1.0 + 3.0 * 4.0 / 0.25 * 16.0))
+    assert gains[1].nats == pytest.approx(0.5 * np.log(1.0 + 3.0 / 4.0 * 4.0))
+    np.testing.assert_allclose(gains[1].sd, [4.0, 1.0, 0.0], atol=1e-12)

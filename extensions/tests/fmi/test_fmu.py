@@ -1,4 +1,4 @@
-"""An FMU as a component: its own C source says the same as the equation, and every estimator takes it."""
+"""An FMU as a component says what its equation, closed form and fmpy say; without inputs, with events or without."""
 
 import sys
 from pathlib import Path
@@ -35,21 +35,15 @@ def fmu(tmp_path_factory, description) -> Path:
 
 @pytest.fixture(scope="module")
 def tank(fmu):
-    return fmu_model(
-        fmu,
-        inputs=INPUTS,
-        outputs=OUTPUTS,
-        params=(UA, HEAT, FOULING),
-        variables=NAMES,
-        losses={"hc_fouling": "hc_ua_w_k"},
-    )
+    declaration = {"inputs": INPUTS, "outputs": OUTPUTS, "params": (UA, HEAT, FOULING), "variables": NAMES}
+    return fmu_model(fmu, **declaration, losses={"hc_fouling": "hc_ua_w_k"})
 
 
 def rate_k_s(flow, hot_k, air_k, ua, heat, oil_k):
     return (flow * (hot_k - oil_k) - ua * (oil_k - air_k)) / heat
 
 
-def test_rates_and_outputs_are_those_of_its_source(tank):
+def test_rates_outputs_and_states_are_those_of_its_source(tank):
     rng = np.random.default_rng(0)
     flow, hot, air = rng.uniform(100, 400, (3, 1)), rng.uniform(310, 350, (1, 4)), 295.0
     ua, loss, oil = rng.uniform(50, 300, (3, 4)), 0.3, rng.uniform(295, 330, (3, 4))
@@ -57,9 +51,6 @@ def test_rates_and_outputs_are_those_of_its_source(tank):
     expected = rate_k_s(flow, hot, air, 0.7 * ua, 40_000.0, oil)
     np.testing.assert_allclose(tank.rates(**at, heat=40_000.0)[0], expected, rtol=1e-12)
     np.testing.assert_array_equal(tank.equations(**at, heat=40_000.0)[0], oil)
-
-
-def test_states_are_the_fmus_own(tank):
     (state,) = tank.states
     assert (state.name, state.unit, state.initial) == ("oil_T", "K", 300.0)
 
@@ -103,13 +94,15 @@ def test_a_point_that_it_rejects_is_missing_and_the_next_is_not(tank):
     np.testing.assert_array_equal(np.isnan(return_k), [False, True, True, False])
 
 
-def test_names_kinds_and_units_are_checked(fmu):
+def test_names_kinds_and_units_are_checked_and_a_run_over_time_takes_no_inputs(fmu):
     with pytest.raises(ValueError, match=r"oil_flow_w_k is no input; it has air_in_k, inlet\.T, inlet\.flow"):
         fmu_model(fmu, inputs=INPUTS, outputs=OUTPUTS, params=(UA,))
     with pytest.raises(ValueError, match="return_k is in K, declared in degC"):
         fmu_model(fmu, inputs=INPUTS, outputs=(Signal("return_k", "degC"),), params=(UA,), variables=NAMES)
     with pytest.raises(ValueError, match="losses name hc_fouling, declared as no parameter"):
         fmu_model(fmu, inputs=INPUTS, outputs=OUTPUTS, params=(UA,), losses={"hc_fouling": "hc_ua_w_k"})
+    with pytest.raises(ValueError, match=r"has inputs \(air_in_k, inlet\.T, inlet\.flow\)"):
+        fmu_over_time(fmu, outputs=OUTPUTS, params=(UA,), variables=NAMES)
 
 
 def test_other_kinds_of_file_are_named(tmp_path, description, fmu):
@@ -123,11 +116,6 @@ def test_other_kinds_of_file_are_named(tmp_path, description, fmu):
         fmu_model(pack_fmu(tmp_path, "oil_tank", hidden), **declaration)
 
 
-def test_a_run_over_time_takes_no_inputs(fmu):
-    with pytest.raises(ValueError, match=r"has inputs \(air_in_k, inlet\.T, inlet\.flow\)"):
-        fmu_over_time(fmu, outputs=OUTPUTS, params=(UA,), variables=NAMES)
-
-
 def test_without_the_extra_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy.fmi2", None)
     with pytest.raises(ImportError, match=r"pip install 'hybrid-digital-twin-extensions\[fmi\]'"):
@@ -137,3 +125,158 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch):
 def test_the_how_to_runs(fmu, monkeypatch):
     monkeypatch.chdir(fmu.parent)
     assert walk("howto-component.md", "Physics from an FMU")["estimate"].status == "converged"
+
+
+CONTINUOUS = {
+    "van_der_pol": (1, ("x0", "x1"), Param("mu", "-", 1.0, (0.1, 5.0), "design")),
+    "dahlquist": (2, ("x",), Param("k", "-", 1.0, (0.1, 5.0), "design")),
+}
+GRAVITY, BOUNCE = Param("g", "-", -9.81, (-20.0, -1.0), "design"), Param("e", "-", 0.7, (0.1, 0.95), "design")
+SLOWEST = 0.1  # of free_models.c, below which the ball lies still
+
+
+def describe(name: str, states: tuple[str, ...], constants: tuple[str, ...], indicators: int) -> str:
+    start = {"van_der_pol": (2.0, 0.0, 1.0), "dahlquist": (1.0, 1.0)}.get(name, (1.0, 0.0, -9.81, 0.7))
+    variables, row = [], '<ScalarVariable name="{}" valueReference="{}" {}><Real {}/></ScalarVariable>'
+    for i, state in enumerate(states):
+        variables.append(row.format(state, i, 'causality="output" initial="exact"', f'start="{start[i]}"'))
+    for i, state in enumerate(states):
+        variables.append(row.format(f"der({state})", 2 + i, "", f'derivative="{i + 1}"'))
+    for i, constant in enumerate(constants):
+        kind = 'causality="parameter" variability="fixed"'
+        variables.append(row.format(constant, 4 + i, kind, f'start="{start[len(states) + i]}"'))
+    if not states:
+        whole = row.replace("Real", "Integer")
+        variables.append(whole.format("count", 0, 'causality="output" variability="discrete"', ""))
+    n = len(states)
+    outputs = "".join(f'<Unknown index="{i + 1}"/>' for i in range(max(n, 1)))
+    rates = "".join(f'<Unknown index="{n + i + 1}"/>' for i in range(n))
+    structure = f"<Outputs>{outputs}</Outputs>" + (f"<Derivatives>{rates}</Derivatives>" if n else "")
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{name}" '
+        f'numberOfEventIndicators="{indicators}"><ModelExchange modelIdentifier="{name}"/>'
+        f"<ModelVariables>{''.join(variables)}</ModelVariables><ModelStructure>{structure}</ModelStructure>"
+        "</fmiModelDescription>"
+    )
+
+
+def built(folder: Path, name: str, number: int, text: str) -> Path:
+    return build_fmu(folder, name, SOURCE / "free_models.c", text, f"-DMODEL={number}")
+
+
+def loaded(folder: Path, name: str):
+    number, states, constant = CONTINUOUS[name]
+    path = built(folder, name, number, describe(name, states, (constant.name,), 0))
+    outputs = tuple(Signal(state, "-", sigma=0.01) for state in states)
+    return path, fmu_model(path, inputs=(), outputs=outputs, params=(constant,))
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_without_inputs_it_simulates_as_fmpy_does(tmp_path, name):
+    path, model = loaded(tmp_path, name)
+    ours = model.simulate({}, {}, 0.01, n_samples=1001)
+    theirs = theirs_of(path, 10.0, 0.01)
+    for output in model.outputs:
+        np.testing.assert_allclose(ours[output.name], theirs[output.name][:1001], atol=2e-5)
+
+
+def test_its_parameter_is_estimated(tmp_path):
+    _, model = loaded(tmp_path, "van_der_pol")
+    outputs = {k: v[:120] for k, v in model.simulate({"mu": 1.5}, {}, 0.05, n_samples=120).items()}
+    rng = np.random.default_rng(0)
+    measured = {name: values + 0.01 * rng.standard_normal(120) for name, values in outputs.items()}
+    problem = declared_problem(model, ["mu"], {}, measured, prior=unknown(np.array([1.0])), dt_s=0.05)
+    estimate = NonlinearLeastSquares().estimate(problem)
+    assert estimate.status == "converged"
+    assert abs(estimate.belief.mean[0] - 1.5) < 4.0 * estimate.belief.sd[0]
+
+
+@pytest.fixture(scope="module")
+def ball_fmu(tmp_path_factory):
+    return built(tmp_path_factory.mktemp("ball"), "ball", 3, describe("ball", ("h", "v"), ("g", "e"), 1))
+
+
+@pytest.fixture(scope="module")
+def ball(ball_fmu):
+    return fmu_over_time(ball_fmu, outputs=(Signal("h", "-", 0.01), Signal("v", "-")), params=(GRAVITY, BOUNCE))
+
+
+@pytest.fixture(scope="module")
+def stairs_fmu(tmp_path_factory):
+    return built(tmp_path_factory.mktemp("stairs"), "stairs", 4, describe("stairs", (), (), 0))
+
+
+def theirs_of(path, end_s, dt_s):
+    import fmpy
+
+    options = {"relative_tolerance": 1e-9, "fmi_type": "ModelExchange", "record_events": False}
+    return fmpy.simulate_fmu(str(path), stop_time=end_s, output_interval=dt_s, **options)
+
+
+def bounced(time_s: np.ndarray, g: float, e: float) -> np.ndarray:
+    """Height of the ball, let fall from 1: parabola after parabola, the first of them half a one."""
+    start_s, speed, height = 0.0, 0.0, np.zeros(len(time_s))
+    fall_s, lasting_s = np.sqrt(2.0 / g), np.sqrt(2.0 / g)
+    while True:
+        on = (time_s >= start_s) & (time_s <= start_s + lasting_s)
+        since = time_s[on] - start_s
+        height[on] = (1.0 if speed == 0.0 else 0.0) + speed * since - 0.5 * g * since**2
+        start_s, speed = start_s + lasting_s, e * (speed or g * fall_s)
+        if speed < SLOWEST:
+            return height
+        lasting_s = 2.0 * speed / g
+
+
+def test_a_ball_bounces_as_in_closed_form_and_as_fmpy_has_it(ball_fmu, ball):
+    time_s = 0.01 * np.arange(401)
+    ours = ball.predict({}, {"time_s": time_s})
+    np.testing.assert_allclose(ours["h"], bounced(time_s, 9.81, 0.7), atol=1e-6)
+    theirs = theirs_of(ball_fmu, 4.0, 0.01)
+    np.testing.assert_allclose(ours["h"], theirs["h"], atol=1e-6)
+    np.testing.assert_allclose(ours["v"], theirs["v"], atol=1e-5)
+    assert ours["h"][-1] == pytest.approx(0.0, abs=1e-9)  # lies still: a memory that is none of its states
+
+
+def test_stairs_climb_by_the_clock_and_end(stairs_fmu):
+    stairs = fmu_over_time(stairs_fmu, outputs=(Signal("count", "-"),), params=())
+    time_s = 0.25 * np.arange(45)
+    ours = stairs.predict({}, {"time_s": time_s})["count"]
+    np.testing.assert_array_equal(ours, np.where(time_s < 9.0, 1.0 + np.floor(time_s), np.nan))
+    theirs = theirs_of(stairs_fmu, 8.75, 0.25)
+    np.testing.assert_array_equal(ours[:36], theirs["count"])
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_a_run_over_time_is_that_of_its_states(tmp_path, name):
+    path, model = loaded(tmp_path, name)
+    over_time = fmu_over_time(path, outputs=model.outputs, params=model.params)
+    constant = model.params[0].name
+    expected = model.simulate({constant: 1.7}, {}, 0.05, n_samples=101)
+    ours = over_time.predict({constant: 1.7}, {"time_s": 0.05 * np.arange(101)})
+    for output in model.outputs:
+        np.testing.assert_allclose(ours[output.name], expected[output.name], atol=2e-5)
+
+
+def test_instants_come_in_any_order_and_parameters_broadcast(ball):
+    time_s, e = np.array([1.3, 0.2, np.nan, -1.0, 0.2]), np.array([[0.7], [0.5]])
+    heights = ball.predict({"e": e}, {"time_s": time_s})["h"]
+    expected = [[bounced(np.array([t]), 9.81, x)[0] if t > 0.0 else np.nan for t in time_s] for x in (0.7, 0.5)]
+    np.testing.assert_allclose(heights, expected, atol=1e-6)
+
+
+def test_gravity_and_bounce_are_estimated_from_a_record(ball):
+    time_s = 0.02 * np.arange(150)
+    rng = np.random.default_rng(0)
+    measured = {"h": bounced(time_s, 9.5, 0.65) + 0.01 * rng.standard_normal(150)}
+    problem = declared_problem(ball, ["g", "e"], {"time_s": time_s}, measured, prior=unknown(np.array([-9.81, 0.7])))
+    estimate = NonlinearLeastSquares().estimate(problem)
+    assert estimate.status == "converged"
+    np.testing.assert_array_less(np.abs(estimate.belief.mean - [-9.5, 0.65]), 4.0 * estimate.belief.sd)
+    assert estimate.belief.sd[1] < 0.005
+
+
+def test_a_model_with_events_is_no_component_of_states(ball_fmu, stairs_fmu):
+    with pytest.raises(ValueError, match="1 event indicators; declare a model with events by fmu_over_time"):
+        fmu_model(ball_fmu, inputs=(), outputs=(Signal("h", "-"),), params=())
+    with pytest.raises(ValueError, match="event at 1 s; declare a model with events by fmu_over_time"):
+        fmu_model(stairs_fmu, inputs=(), outputs=(), params=())

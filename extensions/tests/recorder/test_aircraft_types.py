@@ -40,15 +40,12 @@ def test_an_error_names_file_line_and_key(tmp_path, change):
     assert ERRORS[change] in str(error.value)
 
 
-def test_what_a_type_lacks_is_told_for_each_parameter():
+def test_what_a_type_lacks_is_told_and_a_unit_of_the_recorder_becomes_the_columns():
     coverage = {Path(f).stem: {row[1]: row[2:] for row in coverage_of(read_type(f))} for f in packaged_files()}
     assert coverage["b787_767"]["hx_fouling"] == coverage["b787_767"]["cac_efficiency_loss"] == ("recorded", "", "")
     assert coverage["b787_767"]["hx_h_hot_w_k"] == ("not_recorded", "ram_out_degc", "no sensor")
     assert coverage["a330_717"]["hxt_loss"][0] == "recorded"
     assert coverage["a330_717"]["hx_fouling"] == ("not_recorded", "ram_door_pct, pack_flow_lbpm", "not recorded")
-
-
-def test_a_unit_of_the_recorder_becomes_the_columns():
     (pressure,) = (s for s in read_type(B787).stations[PACK] if s.column == "pt_psia")
     assert pressure.scale * 1013.25 == pytest.approx(14.696, abs=1e-3)
 

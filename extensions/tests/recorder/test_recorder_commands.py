@@ -6,23 +6,14 @@ import zipfile
 import numpy as np
 import polars as pl
 import pytest
-from recordings import DATA, frames_717, frames_767, message_file, pack, random_raw
+from command import hdt
+from recordings import DATA, DEMO_717, DEMO_767, frames_717, frames_767, message_file, pack, random_raw, raw_767
 
+from hdt_recorder import printed_reports, recorder_rows, recordings
 from hdt_recorder.decoding.coding import PACKINGS
-from hdt_recorder.decoding.plain_map import read_toml
-from pipelines.cli import main
 
-DEMO_717 = read_toml((DATA / "demo_717.toml").read_text())
-DEMO_767 = read_toml((DATA / "demo_767.toml").read_text())
-
-
-def hdt(monkeypatch, capsys, *words: object) -> tuple[int, str, str]:
-    """Exit code, what was printed, and what was said on standard error."""
-    monkeypatch.setattr("sys.argv", ["hdt", *map(str, words)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    output = capsys.readouterr()
-    return int(ended.value.code or 0), output.out, output.err
+MAP_717, MAP_767 = DATA / "demo_717.toml", DATA / "demo_767.toml"
+MAP_XML = DATA / "demo_717.xml"
 
 
 @pytest.fixture
@@ -37,15 +28,13 @@ def recording(tmp_path):
     return path, raw
 
 
-def test_a_recording_is_decoded_into_a_table(recording, tmp_path, monkeypatch, capsys):
+def test_a_recording_is_decoded_into_a_table(recording, tmp_path):
     path, raw = recording
     target = tmp_path / "flight.parquet"
-    code, stdout, _ = hdt(
-        monkeypatch, capsys, "recorder", "decode", path, "--map", DATA / "demo_717.toml", "--out", target
-    )
-    assert code == 0
-    assert "11 parameters" in stdout
-    assert "Subframes: 190 whole, 2 damaged, 0 missing" in stdout
+    done = hdt("recorder", "decode", path, "--map", MAP_717, "--out", target)
+    assert done.returncode == 0, done.stderr
+    assert "11 parameters" in done.stdout
+    assert "Subframes: 190 whole, 2 damaged, 0 missing" in done.stdout
     rows = pl.read_parquet(target)
     assert rows.schema == {"parameter": pl.String, "t_s": pl.Float64, "value": pl.Float64, "text": pl.String}
     assert rows["value"].is_finite().all()  # null is null, not NaN
@@ -57,32 +46,31 @@ def test_a_recording_is_decoded_into_a_table(recording, tmp_path, monkeypatch, c
     assert rows.filter(parameter="CITY")["value"].null_count() == 3
 
 
-def test_only_the_parameters_that_are_named_are_decoded(recording, tmp_path, monkeypatch, capsys):
+def test_only_the_parameters_that_are_named_are_decoded(recording, tmp_path):
     target = tmp_path / "two.parquet"
     words = ("--parameter", "PITCH", "--parameter", "MODE", "--out", target)
-    code, *_ = hdt(monkeypatch, capsys, "recorder", "decode", recording[0], "--map", DATA / "demo_717.csv", *words)
-    assert code == 0
+    done = hdt("recorder", "decode", recording[0], "--map", DATA / "demo_717.csv", *words)
+    assert done.returncode == 0, done.stderr
     assert pl.read_parquet(target)["parameter"].unique(maintain_order=True).to_list() == ["PITCH", "MODE"]
 
 
-def test_an_archive_is_read_by_its_largest_file(recording, tmp_path, monkeypatch, capsys):
+def test_an_archive_is_read_by_its_largest_file(recording, tmp_path):
     archive = tmp_path / "flight.zip"
     with zipfile.ZipFile(archive, "w") as file:
         file.writestr("log.txt", "short")
         file.write(recording[0], "raw.dat")
-    code, stdout, _ = hdt(monkeypatch, capsys, "recorder", "list", archive, "--map", DATA / "demo_717.xml")
-    assert code == 0
-    assert "no value: its conversion is told in words: Teledyne Synchro" in stdout
-    assert "ALTITUDE" in stdout
+    done = hdt("recorder", "list", archive, "--map", MAP_XML)
+    assert done.returncode == 0, done.stderr
+    assert "no value: its conversion is told in words: Teledyne Synchro" in done.stdout
+    assert "ALTITUDE" in done.stdout
 
 
-def test_what_a_recording_holds_is_listed(tmp_path, monkeypatch, capsys):
-    raw = random_raw(DEMO_767, np.random.default_rng(5), 200)
+def test_what_a_recording_holds_is_listed(tmp_path):
     path = tmp_path / "flight.767"
-    path.write_bytes(frames_767(DEMO_767, {n: r[: int(40 * DEMO_767.parameters[n].rate_hz)] for n, r in raw.items()}))
-    code, stdout, _ = hdt(monkeypatch, capsys, "recorder", "list", path, "--map", DATA / "demo_767.toml", "--json")
-    assert code == 0
-    listing = json.loads(stdout)
+    path.write_bytes(frames_767(DEMO_767, raw_767(5)))
+    done = hdt("recorder", "list", path, "--map", MAP_767, "--json")
+    assert done.returncode == 0, done.stderr
+    listing = json.loads(done.stdout)
     assert listing["damage"] | {"unit": "frames", "damaged": 0, "missing": 0} == listing["damage"]
     rates = {p["parameter"]: (p["unit"], p["rate_hz"], p["kind"]) for p in listing["parameters"]}
     assert rates["OUTLET_TEMP"] == ("degC", 1.0, "binary")
@@ -90,15 +78,15 @@ def test_what_a_recording_holds_is_listed(tmp_path, monkeypatch, capsys):
     assert rates["DIGIT"] == ("", 0.25, "bcd")
 
 
-def test_printed_reports_are_read_and_what_is_damaged_is_told(tmp_path, monkeypatch, capsys):
+def test_printed_reports_are_read_and_what_is_damaged_is_told(tmp_path):
     text = "\n   A999 PACK SURVEY REPORT <91>   PAGE 01 OF 01\n\nN1 1.31 OFF\nN2 -.-- ON\nN1 1.3 OFF\n"
     (tmp_path / "message.dat").write_bytes(message_file(text))
     (tmp_path / "own.txt").write_text("<91> PACK SURVEY\nN1|N2 {flow:4} {state:s}\n")
     words = ("--layouts", tmp_path / "own.txt", "--out", tmp_path / "r.parquet")
-    code, stdout, _ = hdt(monkeypatch, capsys, "recorder", "reports", tmp_path / "message.dat", *words)
-    assert code == 0
-    assert "<91> PACK SURVEY: 1 reports, 2 lines" in stdout
-    assert "line 6: flow is '1.3', not as wide as its layout has it: N1 1.3 OFF" in stdout
+    done = hdt("recorder", "reports", tmp_path / "message.dat", *words)
+    assert done.returncode == 0, done.stderr
+    assert "<91> PACK SURVEY: 1 reports, 2 lines" in done.stdout
+    assert "line 6: flow is '1.3', not as wide as its layout has it: N1 1.3 OFF" in done.stdout
     rows = pl.read_parquet(tmp_path / "r.parquet")
     assert rows.filter(name="flow")["value"].to_list() == [1.31, None]
     assert rows.filter(name="state")["text"].to_list() == ["OFF", "ON"]
@@ -108,30 +96,21 @@ def test_printed_reports_are_read_and_what_is_damaged_is_told(tmp_path, monkeypa
     ("words", "message"),
     [
         (("list", "{rec}", "--map", "{tmp}/none.toml"), "No such file"),
-        (("list", "{tmp}/none.dat", "--map", DATA / "demo_717.toml"), "No such file"),
+        (("list", "{tmp}/none.dat", "--map", MAP_717), "No such file"),
         (("list", "{rec}"), "--map"),
         (("list", "{rec}", "--map", "{rec}"), "flight.dat: "),
-        (
-            ("list", "{rec}", "--map", DATA / "demo_767.toml"),
-            "demo_767.toml does not fit flight.dat: no ARINC 767 frame",
-        ),
+        (("list", "{rec}", "--map", MAP_767), "demo_767.toml does not fit flight.dat: no ARINC 767 frame"),
         (("list", "{rec}", "--map", "{tmp}/wide.toml"), "the recording has 64 words a second, the map 128"),
-        (("list", "{tmp}/empty.dat", "--map", DATA / "demo_717.toml"), "no ARINC 717 frame in 0 bytes"),
-        (("list", "{tmp}/broken.zip", "--map", DATA / "demo_717.toml"), "broken.zip"),
-        (("reports", "{rec}", "--layouts", DATA / "demo_717.toml"), "line 1: a report begins with <nn>"),
-        (("decode", "{rec}", "--map", DATA / "demo_717.toml"), "--out"),
-        (
-            ("decode", "{rec}", "--map", DATA / "demo_717.toml", "--parameter", "PTICH", "--out", "{tmp}/x"),
-            "near are PITCH",
-        ),
-        (
-            ("decode", "{rec}", "--map", DATA / "demo_717.xml", "--parameter", "RUDDER", "--out", "{tmp}/x"),
-            "has no value",
-        ),
-        (("decode", "{rec}", "--map", DATA / "demo_717.toml", "--out", "{tmp}"), "is not overwritten"),
+        (("list", "{tmp}/empty.dat", "--map", MAP_717), "no ARINC 717 frame in 0 bytes"),
+        (("list", "{tmp}/broken.zip", "--map", MAP_717), "broken.zip"),
+        (("reports", "{rec}", "--layouts", MAP_717), "line 1: a report begins with <nn>"),
+        (("decode", "{rec}", "--map", MAP_717), "--out"),
+        (("decode", "{rec}", "--map", MAP_717, "--parameter", "PTICH", "--out", "{tmp}/x"), "near are PITCH"),
+        (("decode", "{rec}", "--map", MAP_XML, "--parameter", "RUDDER", "--out", "{tmp}/x"), "has no value"),
+        (("decode", "{rec}", "--map", MAP_717, "--out", "{tmp}"), "is not overwritten"),
     ],
 )
-def test_what_does_not_go_together_is_told_in_one_line(words, message, recording, tmp_path, monkeypatch, capsys):
+def test_what_does_not_go_together_is_told_in_one_line(words, message, recording, tmp_path):
     (tmp_path / "wide.toml").write_text('format = "ARINC 717"\nwords_per_second = 128\n')
     (tmp_path / "empty.dat").touch()
     with zipfile.ZipFile(tmp_path / "broken.zip", "w") as file:
@@ -139,26 +118,24 @@ def test_what_does_not_go_together_is_told_in_one_line(words, message, recording
     whole = (tmp_path / "broken.zip").read_bytes()
     (tmp_path / "broken.zip").write_bytes(whole[:200] + b"xxxx" + whole[204:])
     arguments = [str(w).format(rec=recording[0], tmp=tmp_path) for w in words]
-    code, stdout, stderr = hdt(monkeypatch, capsys, "recorder", *arguments)
-    assert (code, stdout) == (2, "")
-    assert message in stderr
-    assert len(stderr.strip().splitlines()) == 1
+    done = hdt("recorder", *arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "x").exists()
 
 
-@pytest.mark.parametrize("words", [("reports",), ("list", "--map", DATA / "demo_717.toml")])
-def test_an_archive_that_unpacks_to_more_than_a_night_takes_in_is_refused(tmp_path, monkeypatch, capsys, words):
+@pytest.mark.parametrize("words", [("reports",), ("list", "--map", MAP_717)])
+def test_an_archive_that_unpacks_to_more_than_a_night_takes_in_is_refused(tmp_path, monkeypatch, words):
     monkeypatch.setattr("hdt_recorder.recordings.MOST_BYTES", 1 << 20)
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("message.dat", bytes((1 << 20) + 1))
-    code, _, stderr = hdt(monkeypatch, capsys, "recorder", words[0], tmp_path / "bomb.zip", *words[1:])
-    assert code == 2
-    assert "1,048,577 bytes; 1,048,576 are allowed" in stderr
+    done = hdt("recorder", words[0], tmp_path / "bomb.zip", *words[1:])
+    assert done.returncode == 2
+    assert "1,048,577 bytes; 1,048,576 are allowed" in done.stderr
 
 
 def test_the_command_and_the_night_have_one_bound():
-    from hdt_recorder import printed_reports, recorder_rows, recordings
-
     assert recorder_rows.MOST_BYTES == printed_reports.MOST_BYTES == recordings.MOST_BYTES == 512 << 20
 
 
@@ -171,24 +148,22 @@ DEEP = "[" * 20_000 + "]" * 20_000
     ("head.toml", 'format = "ARINC 717"\nwords_per_second = inf'),
     ("entry.toml", 'format = "ARINC 717"\nwords_per_second = 64\nparameter = [1]'),
 ])  # fmt: skip
-def test_a_map_that_is_none_is_one_line(recording, tmp_path, monkeypatch, capsys, name, text):
+def test_a_map_that_is_none_is_one_line(recording, tmp_path, name, text):
     (tmp_path / name).write_text(text)
-    code, _, stderr = hdt(monkeypatch, capsys, "recorder", "list", recording[0], "--map", tmp_path / name)
-    assert (code, stderr.count("\n")) == (2, 1), stderr
-    assert stderr.startswith(f"hdt: {name}: ")
+    done = hdt("recorder", "list", recording[0], "--map", tmp_path / name)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert done.stderr.startswith(f"hdt: {name}: ")
 
 
 @pytest.mark.parametrize("member", ["a map", "a recording"])
-def test_an_archive_that_is_damaged_is_one_line(recording, tmp_path, monkeypatch, capsys, member):
+def test_an_archive_that_is_damaged_is_one_line(recording, tmp_path, member):
     name = "x.par" if member == "a map" else "flight.dat"
     with zipfile.ZipFile(tmp_path / "bad.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(name, bytes(range(256)) * 64)
     damaged = bytearray((tmp_path / "bad.zip").read_bytes())
     damaged[60:90] = bytes(30)
     (tmp_path / "bad.zip").write_bytes(damaged)
-    files = (
-        (recording[0], tmp_path / "bad.zip") if member == "a map" else (tmp_path / "bad.zip", DATA / "demo_717.toml")
-    )
-    code, _, stderr = hdt(monkeypatch, capsys, "recorder", "list", files[0], "--map", files[1])
-    assert (code, stderr.count("\n")) == (2, 1), stderr
-    assert "bad.zip: " in stderr
+    files = (recording[0], tmp_path / "bad.zip") if member == "a map" else (tmp_path / "bad.zip", MAP_717)
+    done = hdt("recorder", "list", files[0], "--map", files[1])
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "bad.zip: " in done.stderr

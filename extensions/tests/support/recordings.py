@@ -8,9 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from hdt_recorder.decoding.coding import Packing
+from hdt_recorder.decoding.fit import decode, recognise
 from hdt_recorder.decoding.layout import Map717, Map767
+from hdt_recorder.decoding.plain_map import read_toml
 
 DATA = Path(__file__).parents[1] / "recorder/data"
+DEMO_717, DEMO_767 = (read_toml((DATA / f"demo_{standard}.toml").read_text()) for standard in (717, 767))
+
+
+def read(data: bytes, layout: Map717 | Map767 = DEMO_717) -> dict:
+    """Series of every parameter of a recording, by name."""
+    recording = recognise(np.frombuffer(data, np.uint8), layout)
+    return {s.parameter.name: s for s in decode(recording, layout.parameters.values())}
 
 
 def frames_717(
@@ -77,6 +86,12 @@ def random_raw(layout: Map717 | Map767, rng: np.random.Generator, n: int) -> dic
     return {name: _raw(p.coding, rng, n // p.cycle * len(p.samples)) for name, p in layout.parameters.items()}
 
 
+def raw_767(seed: int, seconds: int = 40) -> dict[str, np.ndarray]:
+    """Of the demo map, a value a frame."""
+    raw = random_raw(DEMO_767, np.random.default_rng(seed), 5 * seconds)
+    return {name: values[: int(seconds * DEMO_767.parameters[name].rate_hz)] for name, values in raw.items()}
+
+
 def _raw(coding, rng: np.random.Generator, n: int) -> np.ndarray:
     def number(low: int, high: int) -> np.ndarray:
         return rng.integers(low, high, n, dtype=np.uint64)
@@ -100,9 +115,8 @@ def message_file(*texts: str) -> bytes:
     stream = b""
     for i, text in enumerate(texts, 1):
         body = text.replace("\n", "\r\n").encode()
-        stream += (
-            b"\x02\x02" + body + f"{len(body):05}{i:04}0013000".encode() + (b"\x03" if i == len(texts) else b"\x17") * 2
-        )
+        end = b"\x03" if i == len(texts) else b"\x17"
+        stream += b"\x02\x02" + body + f"{len(body):05}{i:04}0013000".encode() + end * 2
     blocks = [stream[i : i + 1000].ljust(1000, b"F") for i in range(0, len(stream), 1000)]
     heads = (b"".join(n.to_bytes(4, "little") for n in (7, 1022 * i, 2, 1002, 0)) for i in range(1, len(blocks) + 1))
     return b"".join(head + b"\x11" + block + b"\x12" for head, block in zip(heads, blocks, strict=True)) + b"\r\n"

@@ -15,6 +15,12 @@ from hdt_trial.log import HEADS, append, entries, faults, stamp_faults, stamp_re
 NOW = dt.datetime(2026, 3, 1, tzinfo=dt.UTC)
 
 
+@pytest.fixture
+def folder(sealed, tmp_path):
+    """A copy to tamper with."""
+    return shutil.copytree(sealed, tmp_path / "log")
+
+
 @pytest.fixture(scope="module")
 def sealed(tmp_path_factory):
     """Eight nights."""
@@ -111,12 +117,11 @@ CLUMSY = (flip, shorten, drop, swap, cut_off, add, cut_heads)
 CAREFUL = (rewrite_and_chain, cut_off_and_chain, insert_and_chain)
 
 
-def test_a_log_that_was_tampered_with_is_found_in_1000_of_1000_tries(sealed, tmp_path):
+def test_a_log_that_was_tampered_with_is_found_in_1000_of_1000_tries(sealed, folder):
     """The careful rewrite the whole chain: only the digest that was printed and kept elsewhere shows it."""
+    assert list(faults(sealed, [e.digest for e in entries(sealed)])) == [], "an untouched log has no fault"
     printed, rng, detections = entries(sealed)[-1].digest, random.Random(3), 0
-    folder = tmp_path / "log"
     whole = {file.name: file.read_bytes() for file in sealed.iterdir()}
-    folder.mkdir()
     for k in range(1000):
         restore(folder, whole)
         way = (*CLUMSY, *CAREFUL)[k % 10]
@@ -126,21 +131,13 @@ def test_a_log_that_was_tampered_with_is_found_in_1000_of_1000_tries(sealed, tmp
     assert detections == 1000
 
 
-def test_an_untouched_log_has_no_fault_with_any_digest_that_was_printed(sealed):
-    assert list(faults(sealed, [e.digest for e in entries(sealed)])) == []
-
-
-def test_nothing_is_added_to_a_broken_log(sealed, tmp_path):
-    folder = tmp_path / "log"
-    shutil.copytree(sealed, folder)
+def test_nothing_is_added_to_a_broken_log(folder):
     (folder / "00005.json").unlink()
     with pytest.raises(TrialError, match="entry 5 is missing"):
         append(folder, "night", {}, NOW + dt.timedelta(days=30))
 
 
-def test_a_kill_between_entry_and_head_is_told_and_mended_by_the_next_night(sealed, tmp_path):
-    folder = tmp_path / "log"
-    shutil.copytree(sealed, folder)
+def test_a_kill_between_entry_and_head_is_told_and_mended_by_the_next_night(folder):
     heads = (folder / HEADS).read_text().splitlines(keepends=True)
     (folder / HEADS).write_text("".join(heads[:-1]))
     assert list(faults(folder)) == ["1 entries at the end are not in heads.txt"]
@@ -149,10 +146,8 @@ def test_a_kill_between_entry_and_head_is_told_and_mended_by_the_next_night(seal
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl")
-def test_a_time_stamp_holds_for_its_entry_alone(sealed, tmp_path):
+def test_a_time_stamp_holds_for_its_entry_alone(folder, tmp_path):
     """An authority of our own answers the request, as one on the network would."""
-    folder = tmp_path / "log"
-    shutil.copytree(sealed, folder)
     log = entries(folder)
     query, authority = stamp_request(folder, log[-1]), tmp_path / "tsa.pem"
     (tmp_path / "tsa.cnf").write_text(

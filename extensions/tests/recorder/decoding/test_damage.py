@@ -4,26 +4,22 @@ import os
 
 import numpy as np
 import pytest
-from recordings import DATA, frames_717, frames_767, pack, random_raw
+from recordings import DEMO_717, DEMO_767, frames_717, frames_767, pack, random_raw, raw_767
 
 from hdt_recorder.decoding.coding import PACKINGS, Packing
 from hdt_recorder.decoding.fit import decode
 from hdt_recorder.decoding.frames_717 import find_packing
 from hdt_recorder.decoding.frames_767 import arrange_767, find_frames
-from hdt_recorder.decoding.plain_map import read_toml
 from hdt_recorder.decoding.timeline_717 import Recording717, arrange
 
-DEMO_717 = read_toml((DATA / "demo_717.toml").read_text())
-DEMO_767 = read_toml((DATA / "demo_767.toml").read_text())
 FILES = int(os.environ.get("HDT_DAMAGED_FILES", "60"))
 SYNCS = np.array([s * 64 for s in range(4)])
 COUNTER = DEMO_717.counter.piece.word
 
 
 def recording(seed: int, frames: int = 40) -> np.ndarray:
-    return frames_717(
-        DEMO_717, random_raw(DEMO_717, np.random.default_rng(seed), frames), first_count=100, filling=seed
-    )
+    raw = random_raw(DEMO_717, np.random.default_rng(seed), frames)
+    return frames_717(DEMO_717, raw, first_count=100, filling=seed)
 
 
 def arranged(data: bytes) -> Recording717:
@@ -129,11 +125,6 @@ def test_a_superframe_with_a_frame_missing_has_no_value():
     damaged = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
     assert damaged["CITY"].valid.tolist() == [False, True, True, True]
     assert damaged["WEIGHT"].valid.tolist() == [True] * 6 + [False] * 2  # the last superframe was cut short
-
-
-def raw_767(seed: int) -> dict[str, np.ndarray]:
-    raw = random_raw(DEMO_767, np.random.default_rng(seed), 200)
-    return {n: r[: int(40 * DEMO_767.parameters[n].rate_hz)] for n, r in raw.items()}
 
 
 def test_a_damaged_arinc_767_file_tells_nothing_that_was_not_recorded():

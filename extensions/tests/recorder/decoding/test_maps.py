@@ -5,18 +5,16 @@ import zipfile
 
 import numpy as np
 import pytest
-from recordings import DATA, frames_717, frames_767, pack, random_raw, vec
+from recordings import DATA, DEMO_717, DEMO_767, frames_717, frames_767, pack, random_raw, raw_767, read, vec
 
-from hdt_recorder.decoding.coding import PACKINGS, LookupTable, Polynomial, Segments
-from hdt_recorder.decoding.fit import decode, recognise
+from hdt_recorder.decoding.coding import PACKINGS
+from hdt_recorder.decoding.coding import LookupTable, Polynomial, Segments
 from hdt_recorder.decoding.layout import MapError
 from hdt_recorder.decoding.plain_map import read_csv, read_toml
 from hdt_recorder.decoding.vec_map import read_vec
 from hdt_recorder.decoding.xml_map import read_xml
 
-TOML = (DATA / "demo_717.toml").read_text()
-DEMO_717, DEMO_767 = read_toml(TOML), read_toml((DATA / "demo_767.toml").read_text())
-XML = (DATA / "demo_717.xml").read_bytes()
+TOML, CSV, XML = ((DATA / f"demo_717.{form}").read_text() for form in ("toml", "csv", "xml"))
 
 
 def row(name: str, kind: str, msb: int, bits: int, **more: str) -> str:
@@ -44,7 +42,7 @@ PAR = "\n".join([
 FRA = "\n".join([
     "// 1|Frame Type",
     "1|S\t64\t12\t247\t5B8\tA47\tDB8\t1\t2\t12\t12\t0\t\t\t\t\t\t",
-    *(f"3|{i + 1}\t3\t13\t8\t8" for i in range(1)),
+    "3|1\t3\t13\t8\t8",
     "2|ALTITUDE\t1\t4\t1\t4\t6\t6\t29\tImposed\t\t\t\t",
     "2|ALTITUDE\t2\t4\t1\t3\t12\t12\t23\tImposed\t\t\t\t",
     "2|PITCH\t1\t16\t1\t6\t12\t10\t29\tImposed\t\t\t\t",
@@ -71,11 +69,6 @@ RAW = random_raw(DEMO_717, np.random.default_rng(11), 64)
 RECORDING = pack(frames_717(DEMO_717, RAW, first_count=0), PACKINGS[0])
 
 
-def read(layout, data: bytes = RECORDING) -> dict:
-    recording = recognise(np.frombuffer(data, np.uint8), layout)
-    return {s.parameter.name: s for s in decode(recording, layout.parameters.values())}
-
-
 def texts(series) -> list:
     return [series.text.names[c] for c in series.text.codes]
 
@@ -84,13 +77,13 @@ def texts(series) -> list:
     ("layout", "names", "more"),
     [
         (VEC, "ALTITUDE PITCH FLOW MODE UTC", "ODD SMALL SMALL.whole CITY CITY.whole FREQUENCY FREQUENCY.whole"),
-        (read_xml(XML), "ALTITUDE PACK_TEMP MODE WEIGHT", "TWICE RUDDER Frame_Counter"),
-        (read_csv((DATA / "demo_717.csv").read_text()), " ".join(set(DEMO_717.parameters) - {"FLOW"}), ""),
+        (read_xml(XML.encode()), "ALTITUDE PACK_TEMP MODE WEIGHT", "TWICE RUDDER Frame_Counter"),
+        (read_csv(CSV), " ".join(set(DEMO_717.parameters) - {"FLOW"}), ""),
     ],
     ids=["vec", "xml", "csv"],
 )
 def test_every_format_of_a_map_reads_the_same_values(layout, names, more):
-    ours, theirs = read(DEMO_717), read(layout)
+    ours, theirs = read(RECORDING), read(RECORDING, layout)
     assert {n.replace(" ", "_") for n in layout.parameters} == {*names.split(), *more.split()}
     for name in names.split():
         assert theirs[name].valid.all(), name
@@ -101,23 +94,20 @@ def test_every_format_of_a_map_reads_the_same_values(layout, names, more):
         assert theirs[name].parameter.rate_hz == ours[name].parameter.rate_hz
 
 
-def test_a_vec_has_a_number_as_its_digits_and_as_it_is_written():
-    series, ours = read(VEC), read(DEMO_717)["FREQUENCY"]
+def test_a_vec_has_numbers_and_text_as_listed_and_whole():
+    series, ours = read(RECORDING, VEC), read(RECORDING)["FREQUENCY"]
     np.testing.assert_allclose(series["FREQUENCY"].value, 100 * (ours.value - 100))
     np.testing.assert_allclose(series["FREQUENCY.whole"].value, ours.value)
     assert texts(series["FREQUENCY"]) == texts(ours)
-
-
-def test_a_vec_has_text_as_listed_and_whole():
-    """The export numbers parts 1 to 3, so that the fourth letter is listed as a sample of its own."""
-    series, ours = read(VEC), texts(read(DEMO_717)["CITY"])
+    # the export numbers parts 1 to 3, so that the fourth letter is listed as a sample of its own
+    ours = texts(read(RECORDING)["CITY"])
     assert texts(series["CITY.whole"]) == ours
     assert texts(series["CITY"]) == [x for c in ours for x in (c[:3] + "\0", "\0\0\0" + c[3])]
 
 
 def test_a_vec_number_without_its_high_bits_is_as_negative_as_its_sign_says():
     """Recorded are the sign and bits 24 to 17 of 28 to 17: the four between are the sign again."""
-    series = read(VEC)
+    series = read(RECORDING, VEC)
     raw = frames_717(DEMO_717, RAW, first_count=0).reshape(-1, 64)[:, 30] >> 3
     small = np.where(raw >= 256, raw - 512.0, raw)
     np.testing.assert_allclose(series["SMALL.whole"].value, 0.5 * small)
@@ -126,11 +116,10 @@ def test_a_vec_number_without_its_high_bits_is_as_negative_as_its_sign_says():
 
 def test_a_garbled_map_is_read_or_told_of():
     """Characters lost, doubled or changed: the map is refused with a reason, or decodes into numbers."""
-    xml, csv = XML.decode(), (DATA / "demo_717.csv").read_text()
     readers = {
         TOML: read_toml,
-        csv: read_csv,
-        xml: lambda t: read_xml(t.encode()),
+        CSV: read_csv,
+        XML: lambda t: read_xml(t.encode()),
         FRA: lambda t: read_vec({"a.par": PAR.encode("utf-16"), "a.fra": t.encode("utf-16")}),
         PAR: lambda t: read_vec({"a.par": t.encode("utf-16"), "a.fra": FRA.encode("utf-16")}),
     }
@@ -138,7 +127,7 @@ def test_a_garbled_map_is_read_or_told_of():
     for n, (text, reader) in enumerate(readers.items()):
         for seed in range(60):
             try:
-                series = read(reader(garble(text, np.random.default_rng([seed, n]))))
+                series = read(RECORDING, reader(garble(text, np.random.default_rng([seed, n]))))
             except MapError:
                 refused += 1
             else:
@@ -165,16 +154,15 @@ def garble(text: str, rng: np.random.Generator) -> str:
 
 
 def test_what_only_a_person_can_convert_is_listed_with_the_reason():
-    assert "Teledyne Synchro" in read_xml(XML).parameters["RUDDER"].unreadable
+    assert "Teledyne Synchro" in read_xml(XML.encode()).parameters["RUDDER"].unreadable
     assert "SOMETHING NEW" in VEC.parameters["ODD"].unreadable
-    assert {"RUDDER", "ODD"}.isdisjoint({*read(VEC), *read(read_xml(XML))})
+    assert {"RUDDER", "ODD"}.isdisjoint({*read(RECORDING, VEC), *read(RECORDING, read_xml(XML.encode()))})
 
 
 def test_a_vec_of_arinc_767_reads_the_same_values():
     def meaning(p) -> str:
-        kind = {"float": "COMPUTED ON BOARD", "binary": "BNR LINEAR (A*X)", "discrete": "DISCRETE"}.get(
-            p.coding.kind, "BCD"
-        )
+        kinds = {"float": "COMPUTED ON BOARD", "binary": "BNR LINEAR (A*X)", "discrete": "DISCRETE"}
+        kind = kinds.get(p.coding.kind, "BCD")
         scale = p.coding.steps[0].coefficients[1] if p.coding.steps else 1.0
         below = ";".join(f"5|{i}\t{low + n}\t{n}" for i, (low, n) in enumerate(p.coding.digits))
         sign = str(p.coding.sign + 1) if p.coding.sign else ""
@@ -183,13 +171,11 @@ def test_a_vec_of_arinc_767_reads_the_same_values():
     own = [p for p in DEMO_767.parameters.values() if p.frame_id in (3, 4)]
     orders = [f"3|{p.frame_id}\t{i}\tLong {p.name}\tX" for i, p in enumerate(own, 1)]
     short = [f"4|Long {p.name}\t{p.name[:9]}" for p in own]
-    frd = "\n".join(
-        ["1|647A-1\tDEMO_MAP_7", "2|3\t1 Hz\t1\t\t4\t0", "2|4\t5 Hz\t5\t1\t2\t0", *reversed(orders), *short]
-    )
+    heads = ["1|647A-1\tDEMO_MAP_7", "2|3\t1 Hz\t1\t\t4\t0", "2|4\t5 Hz\t5\t1\t2\t0"]
+    frd = "\n".join([*heads, *reversed(orders), *short])
     layout = read_vec(archive(vec(par="\n".join(map(meaning, own)), frd=frd)))
-    raw = random_raw(DEMO_767, np.random.default_rng(5), 200)
-    data = frames_767(DEMO_767, {n: r[: int(40 * DEMO_767.parameters[n].rate_hz)] for n, r in raw.items()})
-    ours, theirs = read(DEMO_767, data), read(layout, data)
+    data = frames_767(DEMO_767, raw_767(5))
+    ours, theirs = read(data, DEMO_767), read(data, layout)
     assert {f.size for f in layout.frames.values()} == {DEMO_767.frames[n].size for n in (3, 4)}
     for p in own:
         np.testing.assert_allclose(theirs[p.name[:9]].value, ours[p.name].value)
@@ -202,42 +188,34 @@ def test_conversions_are_what_they_say():
     np.testing.assert_allclose(LookupTable((0.0, 1.0, 2.0), (0.0, 10.0, 0.0))(x), [np.nan, 0.0, 5.0, 0.0, np.nan])
 
 
+READERS = {TOML: read_toml, XML: lambda text: read_xml(text.encode())}
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("whole", "change", "message"),
     [
-        (("words_per_second = 64\n", ""), "no words_per_second in the head"),
-        (('"ARINC 717"', '"ARINC 573"'), "'ARINC 717' or 'ARINC 767'"),
-        (("word = 5\n", "word = 65\n"), "parameter PACK_TEMP: subframe 1 word 65 bits 1-12 is outside the frame"),
-        (('kind = "utc"', 'kind = "clock"'), "parameter UTC: no kind clock"),
-        (('unit = "kg/s"', 'units = "kg/s"'), "parameter FLOW: no key units"),
-        (('bits = ["1-12", "1-12", "1-8"]', 'bits = ["1-12", "1-12", "1-9"]'), "parameter COMPUTED: 33 bits"),
-        (('name = "MODE"', 'name = "VALVE"'), "parameter VALVE: defined twice"),
-        (('name = "MODE"\n', ""), "parameter without a name: no name"),
-        (("[[4], [3], [2], [1]]", "[[4], [3], [2], [17]]"), "parameter CITY: a superframe needs"),
-        (("[[parameter]]", "[[parameter"), "no TOML"),
+        (TOML, ("words_per_second = 64\n", ""), "no words_per_second in the head"),
+        (TOML, ('"ARINC 717"', '"ARINC 573"'), "'ARINC 717' or 'ARINC 767'"),
+        (TOML, ("word = 5\n", "word = 65\n"), "parameter PACK_TEMP: subframe 1 word 65 bits 1-12 is outside the frame"),
+        (TOML, ('kind = "utc"', 'kind = "clock"'), "parameter UTC: no kind clock"),
+        (TOML, ('unit = "kg/s"', 'units = "kg/s"'), "parameter FLOW: no key units"),
+        (TOML, ('bits = ["1-12", "1-12", "1-8"]', 'bits = ["1-12", "1-12", "1-9"]'), "parameter COMPUTED: 33 bits"),
+        (TOML, ('name = "MODE"', 'name = "VALVE"'), "parameter VALVE: defined twice"),
+        (TOML, ('name = "MODE"\n', ""), "parameter without a name: no name"),
+        (TOML, ("[[4], [3], [2], [1]]", "[[4], [3], [2], [17]]"), "parameter CITY: a superframe needs"),
+        (TOML, ("[[parameter]]", "[[parameter"), "no TOML"),
+        (XML, ("<Words_Per_Subframe>64</Words_Per_Subframe>", ""), "no Words_Per_Subframe"),
+        (XML, ("Signed Binary", "Signed Ternary"), "parameter ALTITUDE"),
+        (XML, ("<Word_Num>5<", "<Word_Num>65<"), "parameter PACK_TEMP: subframe 1 word 65"),
+        (XML, ("<Bits_Per_Word>12", "<Bits_Per_Word>16"), "16 bits a word"),
+        (XML, ("</FREDFile>", ""), "no XML"),
+        (XML, ("<FREDFile", "<!DOCTYPE x [<!ENTITY y 'z'>]><FREDFile"), "no entities"),
     ],
 )
-def test_a_toml_that_cannot_be_read_says_where(change, message):
-    assert change[0] in TOML
+def test_a_map_of_text_that_cannot_be_read_says_where(whole, change, message):
+    assert change[0] in whole
     with pytest.raises(MapError, match=message.replace("[", r"\[")):
-        read_toml(TOML.replace(*change, 1))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ((b"<Words_Per_Subframe>64</Words_Per_Subframe>", b""), "no Words_Per_Subframe"),
-        ((b"Signed Binary", b"Signed Ternary"), "parameter ALTITUDE"),
-        ((b"<Word_Num>5<", b"<Word_Num>65<"), "parameter PACK_TEMP: subframe 1 word 65"),
-        ((b"<Bits_Per_Word>12", b"<Bits_Per_Word>16"), "16 bits a word"),
-        ((b"</FREDFile>", b""), "no XML"),
-        ((b"<FREDFile", b"<!DOCTYPE x [<!ENTITY y 'z'>]><FREDFile"), "no entities"),
-    ],
-)
-def test_an_xml_that_cannot_be_read_says_where(change, message):
-    assert change[0] in XML
-    with pytest.raises(MapError, match=message):
-        read_xml(XML.replace(*change, 1))
+        READERS[whole](whole.replace(*change, 1))
 
 
 @pytest.mark.parametrize(

@@ -1,27 +1,21 @@
-"""Recordings that we wrote ourselves come back: every kind of value, every packing, every rate."""
+"""Recordings that we wrote ourselves come back, whatever the packing and rate; a map that does not fit is told of."""
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recordings import DATA, frames_717, frames_767, pack, random_raw
+from recordings import DEMO_717, DEMO_767, frames_717, frames_767, pack, random_raw, raw_767, read
 
-from hdt_recorder.decoding.coding import PACKINGS, Coding
-from hdt_recorder.decoding.fit import decode, recognise
+from hdt_recorder.decoding.coding import PACKINGS
+from hdt_recorder.decoding.coding import Coding
+from hdt_recorder.decoding.fit import recognise
 from hdt_recorder.decoding.frames_717 import WORD_COUNTS
-from hdt_recorder.decoding.layout import Counter, Map717, Parameter, Piece, Sample
-from hdt_recorder.decoding.plain_map import read_toml
+from hdt_recorder.decoding.layout import Counter, Map717, MapError, Parameter, Piece, Sample
 
-DEMO_717 = read_toml((DATA / "demo_717.toml").read_text())
-DEMO_767 = read_toml((DATA / "demo_767.toml").read_text())
 ids = [f"{'aligned' if p.aligned else 'stream'} {p.order}" for p in PACKINGS]
-
-
-def read(data: bytes, layout) -> dict:
-    recording = recognise(np.frombuffer(data, np.uint8), layout)
-    return {s.parameter.name: s for s in decode(recording, layout.parameters.values())}
 
 
 def texts(series) -> list:
@@ -55,7 +49,7 @@ MEANT_717 = {
 @pytest.mark.parametrize("before_bits", [0, 24, 8 * 37])
 def test_every_value_of_an_arinc_717_recording_comes_back(packing, before_bits):
     raw = random_raw(DEMO_717, np.random.default_rng(3), 48)
-    series = read(pack(frames_717(DEMO_717, raw, first_count=0), packing, before_bits), DEMO_717)
+    series = read(pack(frames_717(DEMO_717, raw, first_count=0), packing, before_bits))
     for name, mean in MEANT_717.items():
         assert series[name].valid.all(), name
         np.testing.assert_allclose(series[name].value, [mean(int(r)) for r in raw[name]], rtol=1e-12, err_msg=name)
@@ -68,7 +62,7 @@ def test_every_value_of_an_arinc_717_recording_comes_back(packing, before_bits):
 
 def test_times_are_those_of_the_places_in_the_frame():
     raw = random_raw(DEMO_717, np.random.default_rng(0), 32)
-    series = read(pack(frames_717(DEMO_717, raw, first_count=0), PACKINGS[0]), DEMO_717)
+    series = read(pack(frames_717(DEMO_717, raw, first_count=0), PACKINGS[0]))
     np.testing.assert_allclose(series["PACK_TEMP"].t_s, np.arange(128) + 4 / 64)
     np.testing.assert_allclose(series["PITCH"].t_s, np.arange(512) / 4 + 5 / 64)
     np.testing.assert_allclose(series["WEIGHT"].t_s, [18.1875, 50.1875, 82.1875, 114.1875])  # frames 5 and 13, word 13
@@ -108,7 +102,7 @@ MEANT_767 = {
 
 @pytest.mark.parametrize("seed", range(5))
 def test_every_value_of_an_arinc_767_recording_comes_back(seed):
-    raw = demo_767(seed, 60)
+    raw = raw_767(seed, 60)
     series = read(frames_767(DEMO_767, raw), DEMO_767)
     for name, mean in MEANT_767.items():
         assert series[name].valid.all(), name
@@ -116,12 +110,6 @@ def test_every_value_of_an_arinc_767_recording_comes_back(seed):
     assert texts(series["LETTER"]) == [int(r).to_bytes(2, "big").decode() for r in raw["LETTER"]]
     np.testing.assert_allclose(np.diff(series["RATE"].t_s), 0.2)
     np.testing.assert_allclose(np.diff(series["DIGIT"].t_s), 4.0)
-
-
-def demo_767(seed: int, seconds: int) -> dict[str, np.ndarray]:
-    raw = random_raw(DEMO_767, np.random.default_rng(seed), 5 * seconds)
-    rates = {p.name: p.rate_hz for p in DEMO_767.parameters.values()}
-    return {name: values[: int(seconds * rates[name])] for name, values in raw.items()}
 
 
 @pytest.mark.parametrize(
@@ -132,5 +120,80 @@ def test_bits_that_are_no_value_are_null(name, raw):
     """A digit of ten, second or minute 60, hour 24, not a number."""
     samples = random_raw(DEMO_717, np.random.default_rng(1), 32)
     samples[name][5] = raw
-    series = read(pack(frames_717(DEMO_717, samples, first_count=0), PACKINGS[0]), DEMO_717)
+    series = read(pack(frames_717(DEMO_717, samples, first_count=0), PACKINGS[0]))
     assert np.flatnonzero(~series[name].valid).tolist() == [5]
+
+
+def written_717() -> np.ndarray:
+    raw = random_raw(DEMO_717, np.random.default_rng(2), 32)
+    for name in ("ALTITUDE", "PACK_TEMP"):
+        raw[name] %= 400  # within their operational range
+    return np.frombuffer(pack(frames_717(DEMO_717, raw), PACKINGS[0]), np.uint8)
+
+
+def uncounted(words: int, packing) -> np.ndarray:
+    """Frames of random words, the counter too."""
+    frames = frames_717(replace(DEMO_717, words=words, counter=None), {}, frames=32)
+    return np.frombuffer(pack(frames, packing), np.uint8)
+
+
+def written_767() -> np.ndarray:
+    return np.frombuffer(frames_767(DEMO_767, raw_767(2)), np.uint8)
+
+
+FRAMES = DEMO_767.frames
+LONGER = replace(DEMO_767, frames=FRAMES | {3: replace(FRAMES[3], size=30)})
+FASTER = replace(DEMO_767, frames=FRAMES | {4: replace(FRAMES[4], rate_hz=10.0)})
+REVISED = replace(DEMO_767, revision="DEMO_MAP_8")
+
+
+@pytest.mark.parametrize("words", WORD_COUNTS[1:])
+@pytest.mark.parametrize("packing", [PACKINGS[0], PACKINGS[2]], ids=["aligned", "stream"])
+def test_another_number_of_words_is_told(words, packing):
+    data = uncounted(words, packing)
+    with pytest.raises(MapError, match=f"the recording has {words:,} words a second, the map 64"):
+        recognise(data, DEMO_717)
+
+
+@pytest.mark.parametrize(
+    ("written", "layout", "message"),
+    [
+        (lambda: uncounted(64, PACKINGS[0]), DEMO_717, r"counter \(subframe 1 word 2\) does not count: \d+% of frames"),
+        (written_767, DEMO_717, r"the recording is ARINC 767 .* the map ARINC 717"),
+        (written_717, DEMO_767, "it is ARINC 717 with 64 words a second"),
+        (lambda: np.zeros(9000, np.uint8), DEMO_717, "no ARINC 717 frame in 9,000 bytes"),
+        (lambda: np.zeros(9000, np.uint8), DEMO_767, "no ARINC 767 frame in 9,000 bytes"),
+        (written_767, LONGER, "frame 3 has 21 bytes, by the map 30"),
+        (written_767, FASTER, r"frame 4 comes every 0\.2 s, by the map every 0\.1 s"),
+        (written_767, REVISED, "the recording says '647A-00 DEMO_MAP_7', the map is 'DEMO_MAP_8'"),
+    ],
+)
+def test_a_map_that_does_not_fit_is_told_by_what_disagrees(written, layout, message):
+    with pytest.raises(MapError, match=message):
+        recognise(written(), layout)
+
+
+def test_impossible_values_are_told():
+    """All parameters a few words further on: the counter counts, but minutes, digits and temperatures can't be."""
+    names = ["ALTITUDE", "PACK_TEMP", "FREQUENCY", "UTC"]
+    parameters = {f"{n}{i}": replace(DEMO_717.parameters[n], name=f"{n}{i}") for n in names for i in range(4)}
+
+    def shift(p, by: int):
+        samples = tuple(Sample(s.at_s, tuple(replace(x, word=x.word + by) for x in s.pieces)) for s in p.samples)
+        return replace(p, samples=samples)
+
+    data = written_717()
+    recognise(data, replace(DEMO_717, parameters=parameters))
+    elsewhere = {n: shift(p, 12) for n, p in parameters.items()}
+    with pytest.raises(MapError, match=r"impossible values in \d+ of 16 parameters that tell \("):
+        recognise(data, replace(DEMO_717, parameters=elsewhere))
+
+
+def test_floats_cut_at_the_wrong_bit_are_told():
+    wide = DEMO_767.parameters["PRESSURE"]
+    misaligned = {
+        f"P{i}": replace(wide, name=f"P{i}", samples=(Sample(0.0, (Piece(0, 33 + i % 7, 32),)),)) for i in range(1, 17)
+    }
+    misaligned = {n: p for n, p in misaligned.items() if p.samples[0].pieces[0].low != 33}
+    with pytest.raises(MapError, match="impossible values"):
+        recognise(written_767(), replace(DEMO_767, parameters=misaligned))
