@@ -207,7 +207,7 @@ NO_NUMBERS = ("days = 99999999999", "days = -1", "[cost]\nfalse_alarm = inf", "r
         ('[rule.x]\nsql = "select 1"\nfile = "f"', "rule.x"),
         ("days =", "no TOML"),
         *((text, r"TOML|has no x") for text in NO_TOML),
-        *((entry, "") for entry in NO_NUMBERS),
+        *((entry, ".") for entry in NO_NUMBERS),
     ],
 )
 def test_a_declaration_that_can_not_be_is_told(text, message):
