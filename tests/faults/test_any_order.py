@@ -118,9 +118,8 @@ class AnyOrder(RuleBasedStateMachine):
         counts = dict(rows.group_by("flight_id").len().iter_rows())
         assert self.stored.items() <= counts.items() <= (self.perhaps | self.stored).items()
         deliveries = Store(self.home).read_table("raw_deliveries")
-        assert deliveries.filter(
-            pl.col("delivered") != pl.sum_horizontal("loaded", "quarantined", "duplicate")
-        ).is_empty()
+        account = pl.sum_horizontal("loaded", "quarantined", "duplicate")
+        assert deliveries.filter(pl.col("delivered") != account).is_empty()
         assert deliveries["loaded"].sum() == rows.height
 
     def teardown(self) -> None:
@@ -130,14 +129,8 @@ class AnyOrder(RuleBasedStateMachine):
 
 def test_any_order_of_deliveries_and_kills_ends_as_the_model_says(children, intact, tmp_path):
     AnyOrder.children, AnyOrder.intact, AnyOrder.root = children, staticmethod(intact), tmp_path
-    how = settings(
-        max_examples=EXAMPLES,
-        stateful_step_count=9,
-        deadline=None,
-        derandomize=True,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    known = {"derandomize": True, "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
+    how = settings(max_examples=EXAMPLES, stateful_step_count=9, **known)
     run_state_machine_as_test(AnyOrder, settings=how)
 
 

@@ -50,10 +50,8 @@ def test_disk_full_at_a_writer_then_space_again(tiny, children, intact, tmp_path
     assert "No space left on device" in message
     intact(home)
     assert children.night(tiny.landing, home, steps=3) == (0, "")
-    stored = fingerprint(home)
-    assert {t: stored[t] for t in stored if t.startswith("raw_")} == {
-        t: tiny.end[t] for t in stored if t.startswith("raw_")
-    }
+    stored = {t: content for t, content in fingerprint(home).items() if t.startswith("raw_")}
+    assert stored == {t: tiny.end[t] for t in stored}
 
 
 def test_a_home_that_may_not_be_written(children):
@@ -121,14 +119,11 @@ def test_the_ledger_and_the_history_wait_for_the_disk(tmp_path):
     """What they say survives a power cut: SQLite syncs each commit."""
     with Ledger(tmp_path)._database.transaction() as con:
         assert con.execute("pragma synchronous").fetchone() == (FULL,)
-    instance = open_instance(tmp_path)
-    try:
+    with open_instance(tmp_path) as instance:
         log, runs = instance.event_log_storage, instance.run_storage
         for open_one in (log.index_connection, runs.connect, lambda: log.run_connection("a-run")):
             with open_one() as con:
                 assert con.exec_driver_sql("pragma synchronous").scalar() == FULL
-    finally:
-        instance.dispose()
 
 
 def test_the_power_is_cut_further_on_each_time(tiny, children, intact, tmp_path):

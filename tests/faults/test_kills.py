@@ -7,15 +7,19 @@ import os
 import random
 import shutil
 import signal
+import threading
 from itertools import count
 
 import dagster as dg
+import duckdb
 import pytest
 from soundness import faults
 
 from benchmarks.fault_points import POINTS
 from benchmarks.fingerprint import fingerprint
+from pipelines.orchestration.around_night import BusyError, lock_home
 from pipelines.orchestration.runs import open_instance
+from pipelines.storage.catalog import connect
 
 KILLS = int(os.environ.get("HDT_SOAK_KILLS", "24"))
 """Kills at random moments, beside those at the named places."""
@@ -71,11 +75,8 @@ def test_a_killed_run_is_marked_failed(tiny, children, tmp_path):
     home = children.home(tmp_path / "home")
     assert children.night(tiny.landing, home, fault="before_mark:2")[0] == signal.SIGKILL
     assert children.night(tiny.landing, home) == (0, "")
-    instance = open_instance(home)
-    try:
+    with open_instance(home) as instance:
         ended = [r.status for r in instance.get_runs()]
-    finally:
-        instance.dispose()
     assert ended.count(dg.DagsterRunStatus.FAILURE) == 1
     assert set(ended) == {dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.SUCCESS}
 
@@ -87,3 +88,45 @@ def test_asked_to_stop(tiny, children, intact, tmp_path):
     intact(home)
     assert children.night(tiny.landing, home) == (0, "")
     assert fingerprint(home) == tiny.end
+
+
+def test_the_second_of_two_nights_stops_with_a_clear_line(tiny, children, tmp_path):
+    home = children.home(tmp_path / "home")
+    with lock_home(home), pytest.raises(BusyError, match="wait for it to end"), lock_home(home):
+        pass
+    with lock_home(home):
+        ended, message = children.night(tiny.landing, home)
+    assert ended is None
+    assert message.startswith("BusyError: another run (process ")
+    assert not (home / "catalog.duckdb").exists()
+
+
+def test_the_lock_goes_with_the_process(tiny, children, tmp_path):
+    home = children.home(tmp_path / "home")
+    children.night(tiny.landing, home, fault="before_write:1")
+    with lock_home(home):
+        pass
+
+
+def test_readers_never_meet_a_half_published_catalog(tiny, children, tmp_path):
+    home = children.home(tmp_path / "home")
+    assert children.night(tiny.landing, home, steps=3) == (0, "")
+    over, answers = threading.Event(), []
+
+    def read() -> None:
+        while not over.is_set():
+            try:
+                with connect(home) as con:
+                    answers.append(con.execute("select count(*) from flights").fetchone()[0])
+            except duckdb.Error as error:
+                answers.append(error)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    try:
+        assert children.night(tiny.landing, home, publish=15) == (0, "")
+    finally:
+        over.set()
+        reader.join()
+    assert len(answers) > 15
+    assert set(answers) == {4}

@@ -1,7 +1,7 @@
 """A flight that comes again, with other values, fewer rows, at the same size and time: what is stored, what told."""
 
+import itertools
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import polars as pl
@@ -17,6 +17,7 @@ from pipelines.storage.store import Store
 GOOD = Path(__file__).parents[1] / "data/dirty/landing/AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
 AIRCRAFT, FLIGHT = ("AQX", "LX-AAA"), "LX-AAA_20240525_04"
 CSV, COPY = (f"AQX/LX-AAA/acms/{name}.csv" for name in (FLIGHT, "copy"))
+TAKEN_IN = ("raw_snapshots", "raw_deliveries", "raw_quarantine")
 N = 42  # rows of the good flight
 
 
@@ -35,11 +36,7 @@ class Zone:
         """Take in what lies there; the stored rows. Accounts balance, and hold what is stored and set aside."""
         scan(self.landing, self.ledger)
         intake = ingest_flights(self.landing, self.store, self.ledger, AIRCRAFT, [FLIGHT])
-        for table, frame in (
-            ("raw_snapshots", intake.rows),
-            ("raw_deliveries", intake.deliveries),
-            ("raw_quarantine", intake.quarantine),
-        ):
+        for table, frame in zip(TAKEN_IN, (intake.rows, intake.deliveries, intake.quarantine), strict=True):
             self.store.merge(table, {AIRCRAFT: [FLIGHT]}, frame)
         account, quarantine = self.store.read_table("raw_deliveries"), self.quarantine
         assert (account["delivered"] == account["loaded"] + account["quarantined"] + account["duplicate"]).all()
@@ -64,6 +61,13 @@ class Zone:
 @pytest.fixture
 def zone(tmp_path) -> Zone:
     return Zone(tmp_path)
+
+
+@pytest.fixture
+def taken_in(zone) -> pl.DataFrame:
+    """Rows of the good flight after a night."""
+    zone.deliver(CSV)
+    return zone.night()
 
 
 def head(n: int) -> Spoil:
@@ -96,7 +100,8 @@ def of_one_file(rows: pl.DataFrame) -> str:
 @pytest.mark.parametrize("first", [CSV, COPY])
 def test_of_two_deliveries_that_contradict_each_other_one_wins_as_a_whole(zone, first):
     """Every second value differs in turn up and down: sorted row by row it was a patchwork of both."""
-    zigzag = column("hx_out_degc", iter_zigzag())
+    turn = itertools.cycle((-2.0, 2.0))
+    zigzag = column("hx_out_degc", lambda v: v + next(turn))
     for path in (first, COPY if first == CSV else CSV):
         zone.deliver(path, zigzag if path == COPY else lambda c: c)
         zone.night()
@@ -107,17 +112,6 @@ def test_of_two_deliveries_that_contradict_each_other_one_wins_as_a_whole(zone, 
     assert aside.height == aside["n_rows"].sum() == N
     assert aside["detail"].str.contains(CSV, literal=True).all()
     assert aside["content"].str.contains("hx_out_k").all()
-
-
-def iter_zigzag() -> Callable[[float], float]:
-    """Adds and takes 2 K in turn."""
-    turn = [2.0]
-
-    def change(value: float) -> float:
-        turn[0] = -turn[0]
-        return value + turn[0]
-
-    return change
 
 
 def test_the_delivery_with_more_rows_wins_whatever_its_name(zone):
@@ -144,9 +138,7 @@ def test_deliveries_that_agree_complete_each_other(zone):
     assert zone.reasons() == ["flight_id_from_column"]
 
 
-def test_a_winner_that_left_the_landing_zone_still_wins(zone):
-    zone.deliver(CSV)
-    zone.night()
+def test_a_winner_that_left_the_landing_zone_still_wins(zone, taken_in):
     (zone.landing / CSV).unlink()
     zone.deliver(COPY, both(warmer, head(40)))
     assert of_one_file(zone.night()) == CSV
@@ -163,24 +155,20 @@ def test_a_loser_that_left_the_landing_zone_is_still_told(zone):
         assert zone.quarantine.filter(reason="conflicting_delivery")["file"].to_list() == [CSV] * 20
 
 
-def test_a_file_that_comes_again_with_fewer_rows_loses_none_and_says_so(zone):
-    zone.deliver(CSV)
-    whole = zone.night()
+def test_a_file_that_comes_again_with_fewer_rows_loses_none_and_says_so(zone, taken_in):
     zone.deliver(CSV, head(20))
     for _ in range(2):  # also when the flight is made again later
-        assert zone.night().equals(whole)
+        assert zone.night().equals(taken_in)
         (note,) = zone.quarantine.rows(named=True)
         assert (note["reason"], note["scope"], note["file"]) == ("fewer_rows", "note", CSV)
         assert "42" in note["detail"]
         assert "20" in note["detail"]
     zone.deliver(CSV)
-    assert zone.night().equals(whole)
+    assert zone.night().equals(taken_in)
     assert zone.reasons() == []
 
 
-def test_fewer_rows_with_other_values_replace_the_flight_and_keep_the_others_aside(zone):
-    zone.deliver(CSV)
-    zone.night()
+def test_fewer_rows_with_other_values_replace_the_flight_and_keep_the_others_aside(zone, taken_in):
     zone.deliver(CSV, both(warmer, head(20)))
     for _ in range(2):
         assert zone.night().height == 20
@@ -191,33 +179,28 @@ def test_fewer_rows_with_other_values_replace_the_flight_and_keep_the_others_asi
     assert zone.reasons() == []
 
 
-def test_a_correction_under_the_same_name_replaces_what_it_said(zone):
-    zone.deliver(CSV)
-    before = zone.night()
+def test_a_correction_under_the_same_name_replaces_what_it_said(zone, taken_in):
     zone.deliver(CSV, warmer)
     after = zone.night()
-    assert (after["hx_out_k"] - before["hx_out_k"]).round(3).unique().to_list() == [2.0]
+    assert (after["hx_out_k"] - taken_in["hx_out_k"]).round(3).unique().to_list() == [2.0]
     assert zone.reasons() == []
 
 
-def test_a_row_that_is_refused_now_is_no_row_less(zone):
-    zone.deliver(CSV)
-    zone.night()
+def test_a_row_that_is_refused_now_is_no_row_less(zone, taken_in):
     zone.deliver(CSV, field(3, "pack", b"9"))
     assert zone.night().height == N - 1
     assert zone.reasons() == ["bad_pack"]
 
 
-def test_a_file_changed_at_the_same_size_and_time_is_noticed(zone):
-    zone.deliver(CSV)
-    before = zone.night()
+def test_a_file_changed_at_the_same_size_and_time_is_noticed(zone, taken_in):
+    assert {record.touched_ns for record in zone.ledger.file_records().values()} == {None}, "touched just before it"
     zone.ledger.note_night(("2026-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
     stat = (zone.landing / CSV).stat()
     zone.deliver(CSV, lambda c: c.replace(b",CL,", b",DS,", 1))
     assert (zone.landing / CSV).stat().st_size == stat.st_size
     os.utime(zone.landing / CSV, ns=(stat.st_atime_ns, stat.st_mtime_ns))
     assert [f.path for f in list_new_files(zone.landing, zone.ledger)[1]] == [CSV]
-    assert zone.night()["phase_code"].to_list() != before["phase_code"].to_list()
+    assert zone.night()["phase_code"].to_list() != taken_in["phase_code"].to_list()
     assert list_new_files(zone.landing, zone.ledger)[1] == []
 
 
@@ -228,9 +211,7 @@ def read_at_leisure(monkeypatch):
 
 
 @pytest.mark.usefixtures("read_at_leisure")
-def test_a_file_is_the_same_while_its_change_time_stands(zone, monkeypatch):
-    zone.deliver(CSV)
-    zone.night()
+def test_a_file_is_the_same_while_its_change_time_stands(zone, taken_in, monkeypatch):
     with monkeypatch.context() as within:
         within.setattr(scan_module, "_digest", None)
         assert list_new_files(zone.landing, zone.ledger)[1] == []
@@ -241,9 +222,7 @@ def test_a_file_is_the_same_while_its_change_time_stands(zone, monkeypatch):
 
 
 @pytest.mark.usefixtures("read_at_leisure")
-def test_a_change_time_tells_of_a_change_whatever_clocks_say(zone):
-    zone.deliver(CSV)
-    zone.night()
+def test_a_change_time_tells_of_a_change_whatever_clocks_say(zone, taken_in):
     zone.ledger.note_night(("2100-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
     stat = (zone.landing / CSV).stat()
     zone.deliver(CSV, lambda c: c.replace(b",CL,", b",DS,", 1))
@@ -251,15 +230,7 @@ def test_a_change_time_tells_of_a_change_whatever_clocks_say(zone):
     assert [f.path for f in list_new_files(zone.landing, zone.ledger)[1]] == [CSV]
 
 
-def test_a_file_touched_just_before_a_night_is_read_again_by_the_next(zone):
-    zone.deliver(CSV)
-    zone.night()
-    assert {record.touched_ns for record in zone.ledger.file_records().values()} == {None}
-
-
-def test_files_untouched_since_the_last_night_are_not_read(zone, monkeypatch):
-    zone.deliver(CSV)
-    zone.night()
+def test_files_untouched_since_the_last_night_are_not_read(zone, taken_in, monkeypatch):
     zone.ledger.note_night(("2100-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
     monkeypatch.setattr("pipelines.intake.scan._digest", None)
     assert list_new_files(zone.landing, zone.ledger)[1] == []

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from spoils import column
+from spoils import column, field
 
 from hdt_core.tables import TABLES
 from pipelines.intake.ingest import ingest_flights
@@ -46,12 +46,9 @@ class Zone:
         for operator, tail, flight, _ in cells:
             aircraft = (operator, tail)
             intake = ingest_flights(self.landing, self.store, self.ledger, aircraft, [flight])
-            frames = {
-                "raw_snapshots": intake.rows,
-                "raw_deliveries": intake.deliveries,
-                "raw_quarantine": intake.quarantine,
-            }
-            frames |= {t: TABLES[t].schema.create_empty() for t in STAGE["raw"].tables if t not in frames}
+            frames = {t: TABLES[t].schema.create_empty() for t in STAGE["raw"].tables}
+            frames |= {"raw_snapshots": intake.rows, "raw_deliveries": intake.deliveries}
+            frames["raw_quarantine"] = intake.quarantine
             io, scope = FrameIO(self.store, self.ledger), PartitionScope({aircraft: [flight]})
             for table in STAGE["raw"].tables:
                 io.store_frame(table, scope, frames[table])
@@ -105,11 +102,7 @@ def test_a_file_that_has_left_loses_nothing_by_a_wrong_line(zone):
 
 
 def test_a_line_with_too_many_packs_leaves_no_pack_behind_once_corrected(zone):
-    rows = GOOD.read_bytes().splitlines(keepends=True)
-    where = rows[0].split(b",").index(b"pack")
-    odd = rows[1].split(b",")
-    odd[where] = b"3"
-    (zone.landing / CSV).write_bytes(b"".join([rows[0], b",".join(odd), *rows[2:]]))
+    (zone.landing / CSV).write_bytes(field(1, "pack", b"3")(GOOD.read_bytes()))
     zone.night(RIGHT)
     clean = zone.rows()
     zone.night(RIGHT.replace("2014-06-01,2\nAQX", "2014-06-01,4\nAQX"))
@@ -166,15 +159,6 @@ def test_of_two_lines_the_first_counts_and_the_other_is_set_aside(zone):
 TYPE = 'type = "{name}"\nmap = "map.toml"\nreports = "{name}.layouts"\n[pack]\nmach = "M"\n'
 
 
-def write_types(landing: Path) -> None:
-    """Two types, all of whose files are older than the recording."""
-    (landing / "types").mkdir()
-    for name in ("ONE", "TWO"):
-        (landing / f"types/{name}.toml").write_text(TYPE.format(name=name))
-        (landing / f"types/{name}.layouts").write_text(name)
-    (landing / "types/map.toml").write_text("one")
-
-
 def digests(zone: Zone) -> dict[str, str]:
     scan(zone.landing, zone.ledger)
     return {path: record.digest for path, record in zone.ledger.file_records().items() if path.startswith("AQX/LX-AAA")}
@@ -201,7 +185,11 @@ def append(path: Path, text: str) -> None:
 
 @pytest.mark.parametrize(("change", "folders"), CHANGES.values(), ids=CHANGES.keys())
 def test_files_are_known_by_all_that_they_are_judged_by(zone, change, folders):
-    write_types(zone.landing)
+    (zone.landing / "types").mkdir()
+    for name in ("ONE", "TWO"):
+        (zone.landing / f"types/{name}.toml").write_text(TYPE.format(name=name))
+        (zone.landing / f"types/{name}.layouts").write_text(name)
+    (zone.landing / "types/map.toml").write_text("one")
     (zone.landing / "fleet.csv").write_text(TYPED)
     for name in ("recorder/LX-AAA_20240525_05.dat", "reports/a.dat", "messages.csv", "maintenance.csv"):
         (zone.landing / "AQX/LX-AAA" / name).parent.mkdir(exist_ok=True)

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
 
 import polars as pl
@@ -31,29 +31,21 @@ HOLDINGS = {"a/1.csv": ["LX-AAA_20240101_01", "LX-AAA_20240102_01"], "b/1.csv": 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def ledger(request, tmp_path, monkeypatch) -> Iterator[Ledger]:
     """A ledger that knows three files of two aircraft."""
-    if request.param == "sqlite":
-        monkeypatch.delenv(postgres.URL, raising=False)
-        yield _filled(tmp_path)
-        return
-    if not SERVER:
+    if request.param == "postgresql" and not SERVER:
         pytest.skip("HDT_TEST_POSTGRES names no PostgreSQL server")
-    with new_database() as url:
+    with new_database() if request.param == "postgresql" else nullcontext("") as url:
         monkeypatch.setenv(postgres.URL, url)
-        yield _filled(tmp_path)
-        assert not (tmp_path / "ledger.sqlite").exists()
-
-
-def _filled(home: Path) -> Ledger:
-    ledger = Ledger(home)
-    ledger.register(FILES, HOLDINGS)
-    return ledger
+        ledger = Ledger(tmp_path)
+        ledger.register(FILES, HOLDINGS)
+        yield ledger
+        assert (tmp_path / "ledger.sqlite").exists() == (not url)
 
 
 def _cells(*rows: tuple[str, str, str, str]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=["operator", "tail", "flight_id", "version"], orient="row")
 
 
-def test_what_is_registered_is_known(ledger):
+def test_what_is_registered_is_known_and_nights_are_told_in_order(ledger):
     sizes_and_times = {path: record[:2] for path, record in ledger.file_records().items()}
     assert sizes_and_times == {"a/1.csv": (2**40, 2**62), "a/m.csv": (1, 1), "b/1.csv": (1, 1)}
     assert ledger.files(["acms", "cpl"])["path"].sort().to_list() == ["a/1.csv", "b/1.csv"]
@@ -61,6 +53,9 @@ def test_what_is_registered_is_known(ledger):
     assert ledger.files([]).is_empty()
     assert ledger.flight_inputs().sort("flight_id").rows()[0] == (*A, "LX-AAA_20240101_01", "a/1.csv=d1")
     assert ledger.flight_files().height == 3
+    for k in range(12):
+        ledger.note_night(("2024-01-01", "2024-01-01", k, 0, 0, 0, "{}"))
+    assert ledger.nights()["files"].to_list() == [str(k) for k in range(12)]
 
 
 def test_a_file_delivered_again_is_known_by_its_new_content_and_keeps_its_flights(ledger):
@@ -86,12 +81,6 @@ def test_a_run_asks_about_its_own_aircraft_and_the_fleet(ledger):
     assert set(own.cells("raw_flights")["tail"]) == {A[1], ""}
     assert set(own.flight_inputs()["tail"]) == {A[1]}
     assert own.files(["acms"])["path"].to_list() == ["a/1.csv"]
-
-
-def test_nights_are_told_in_order(ledger):
-    for k in range(12):
-        ledger.note_night(("2024-01-01", "2024-01-01", k, 0, 0, 0, "{}"))
-    assert ledger.nights()["files"].to_list() == [str(k) for k in range(12)]
 
 
 def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):

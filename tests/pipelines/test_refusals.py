@@ -1,6 +1,5 @@
 """What is not taken in does not go by without a word: names, rows set aside, columns that fell silent."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import duckdb
@@ -9,7 +8,7 @@ import pytest
 from nights import empty_home
 from small_catalog import catalog
 from soundness import faults
-from spoils import column, field
+from spoils import Spoil, column, field
 
 from pipelines.cli.base import app
 from pipelines.cli.doctor import FILES_A_FOLDER, examine, sample_files
@@ -29,21 +28,17 @@ from pipelines.storage.store import Store
 GOOD = Path(__file__).parents[1] / "data/dirty/landing/AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
 KNOTS = column("mach", lambda mach: round(mach * 600.0, 1))
 LATE = column("pack", lambda pack: 5)
-Spoil = Callable[[bytes], bytes]
+as_it_is = bytes
 
 
-def as_it_is(content: bytes) -> bytes:
-    return content
-
-
-def drop(landing: Path, spoils: list[Spoil], folder: str = "AQX/LX-AAA") -> None:
+def drop(landing: Path, spoils: list[Spoil]) -> None:
     """A flight a spoil, of legs 01, 02 ... of a day."""
     (landing / "fleet.csv").write_text("operator,tail,packs\nAQX,LX-AAA,2\n")
-    (landing / folder / "acms").mkdir(parents=True, exist_ok=True)
+    (landing / "AQX/LX-AAA/acms").mkdir(parents=True, exist_ok=True)
     for leg, spoil in enumerate(spoils, 1):
         flight = f"20240525_{leg:02d}"
         content = spoil(GOOD.read_bytes()).replace(b"20240525_04", flight.encode())
-        (landing / folder / f"acms/LX-AAA_{flight}.csv").write_bytes(content)
+        (landing / f"AQX/LX-AAA/acms/LX-AAA_{flight}.csv").write_bytes(content)
 
 
 TAKEN_IN = ("raw_snapshots", "raw_deliveries", "raw_quarantine")
@@ -130,13 +125,9 @@ def test_doctor_judges_what_files_hold_and_not_their_names_alone(zone):
     assert not check.well
     assert "mach refused in 100 % of 42 rows since 2024-05-25 leg 05" in check.message
     assert "It fits knots." in check.message
-
-
-def test_of_each_folder_the_oldest_and_the_newest_are_looked_into(zone):
-    landing, _ = zone
     drop(landing, [as_it_is] * 6)
     legs = [file.path[-6:-4] for file in sample_files(list_landing(landing).files)]
-    assert (len(legs), legs) == (FILES_A_FOLDER, ["01", "05", "06"])
+    assert (len(legs), legs) == (FILES_A_FOLDER, ["01", "05", "06"]), "of each folder the oldest and the newest"
 
 
 def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
@@ -156,15 +147,6 @@ def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
     assert "AQX/lx-aaa" in check.message
     many = pl.DataFrame({"file": [f"F{n}" for n in range(9)], "detail": [f"so {n}" for n in range(9)]})
     assert len(ignored_entries(many)) == MAX_LINES + 1
-
-
-@pytest.mark.parametrize("operator", ["NORD", "AQ", "FLEET787"])
-def test_an_operator_may_have_a_name_of_its_own(zone, operator):
-    landing, _ = zone
-    drop(landing, [as_it_is], f"{operator}/LX-AAA")
-    listing = list_landing(landing)
-    assert listing.quarantine.is_empty()
-    assert {f.operator for f in listing.files if f.kind == "acms"} == {operator}
 
 
 def test_a_night_begun_again_keeps_what_came_and_what_was_not_read():

@@ -50,14 +50,8 @@ def _watch_a_night(root: Path, sample_home: Path) -> None:
     keep_base(sample_home, home)
     script = Path(__file__).with_name("night_under_watch.py")
     secrets = {"DAGSTER_PG_PASSWORD": CANARY, "AWS_SECRET_ACCESS_KEY": CANARY}
-    done = subprocess.run(
-        [sys.executable, script, landing, home, root / "told.json"],
-        env=os.environ | secrets,
-        capture_output=True,
-        text=True,
-        cwd=root,
-        check=False,
-    )
+    command, env = [sys.executable, script, landing, home, root / "told.json"], os.environ | secrets
+    done = subprocess.run(command, env=env, capture_output=True, text=True, cwd=root, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     report = json.loads((root / "told.json").read_text())
     (root / "told.json").write_text(json.dumps(report | {"output": done.stdout + done.stderr}))

@@ -175,9 +175,6 @@ def test_parquet_csv_and_duckdb_say_the_same(given_away):
     assert values[0].equals(values[2])
 
 
-# --- spreadsheets --------------------------------------------------------------------------------------------------
-
-
 def test_no_cell_of_hostile_files_is_a_formula(watched, tmp_path):
     export(watched.home, tmp_path / "out", EVERYTHING, "csv")
     files = (io.StringIO(f.read_bytes().decode(), newline="") for f in (tmp_path / "out").glob("*.csv"))
@@ -194,9 +191,6 @@ def test_text_is_made_harmless_and_numbers_stay_numbers(text, number):
     assert cell in (text, "'" + text)
     assert cell[:1] not in tuple("=+-@\t\r\n")
     assert float(value) == number
-
-
-# --- the folder ----------------------------------------------------------------------------------------------------
 
 
 KILLED = "from benchmarks.fault_points import arm; arm('before_rename:1'); from pipelines.cli import main; main()"
@@ -259,8 +253,6 @@ def test_what_is_wrong_is_said_in_one_line_without_the_key(home, tmp_path, monke
     assert "canary" not in stderr.replace(str(tmp_path), "").replace(str(home), "")
     assert not (tmp_path / "out").exists()
 
-
-# --- the page ------------------------------------------------------------------------------------------------------
 
 PAGE = (Path(__file__).parents[2] / "docs/catalog.md").read_text()
 READERS = dict(re.findall(r"^```python\n((?:import (\w+).*\n)(?:.*\n)*?)^```", PAGE, re.MULTILINE))

@@ -1,16 +1,22 @@
-"""Files of declared components: every line accounted for, one delivery of a flight, aircraft kept apart."""
+"""Files of declared components, every line accounted for; readers of packages, and a landing zone without one."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
+from types import ModuleType, SimpleNamespace
 
 import polars as pl
 import pytest
 
+from hdt_core import loading
 from hdt_core.components import Channel, Record
 from hdt_core.components.pack import HX
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from pipelines.intake import components as intake
+from pipelines.intake.components import read_components
+from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile
+from pipelines.intake.readers import Reader, ReaderError, readers
+from pipelines.intake.snapshots import read_snapshots
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 CHANNELS = tuple(
@@ -21,15 +27,12 @@ LINE = "{flight},2025-06-01T00:00:{second:02d}Z,1,0.9,1.6,{hot},250\n"
 HEAD = "flight_id,report_time,pack,hot_flow_kg_s_si,ram_flow_kg_s_si,hot_in_k_si,cold_in_k_si\n"
 
 
-@pytest.fixture(autouse=True)
-def declared_components(monkeypatch) -> None:
-    """An exchanger with files of its own."""
+@pytest.fixture
+def put(tmp_path, monkeypatch):
+    """Write a file of an exchanger that is declared with files of its own."""
     own = replace(HX, model=HEAT_EXCHANGER, record=Record(CHANNELS))
     monkeypatch.setattr(intake, "recorded_components", lambda: {"hx": own})
 
-
-@pytest.fixture
-def deliver(tmp_path):
     def write(path: str, text: str) -> LandingFile:
         place = tmp_path / path
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -44,43 +47,41 @@ def lines(flight: str, n: int, hot: float = 400.0) -> str:
     return HEAD + "".join(LINE.format(flight=flight, second=k, hot=hot) for k in range(n))
 
 
-def delivered(files, now) -> list[FileIntake]:
-    return [d for _, d in intake.read_components(files, now)]
+def read_balanced(*files: LandingFile) -> list[FileIntake]:
+    read = [d for _, d in intake.read_components(list(files), NOW)]
+    assert all(d.n_delivered == d.n_loaded + int(d.quarantine["n_rows"].sum()) + d.n_duplicate for d in read)
+    return read
 
 
-def balanced(read: list[FileIntake]) -> bool:
-    return all(d.n_delivered == d.n_loaded + int(d.quarantine["n_rows"].sum()) + d.n_duplicate for d in read)
-
-
-def test_two_aircraft_may_name_their_flights_alike(deliver):
-    files = [deliver(f"AAA/{tail}/hx/a.csv", lines("CYCLE-0001", 5, hot)) for tail, hot in (("T1", 400), ("T2", 410))]
-    read = delivered(files, NOW)
+def test_two_aircraft_may_name_their_flights_alike(put):
+    files = [put(f"AAA/{tail}/hx/a.csv", lines("CYCLE-0001", 5, hot)) for tail, hot in (("T1", 400), ("T2", 410))]
+    read = read_balanced(*files)
     assert [d.n_loaded for d in read] == [5, 5]
     assert [d.rows.filter(signal="hot_in_k")["value"].unique().to_list() for d in read] == [[400.0], [410.0]]
-    assert balanced(read)
 
 
-def test_of_two_deliveries_of_a_flight_the_longer_is_stored_whole(deliver):
-    short, long = deliver("AAA/T1/hx/b.csv", lines("C1", 3, 401)), deliver("AAA/T1/hx/a.csv", lines("C1", 6))
-    read = delivered([long, short], NOW)
+def test_of_two_deliveries_of_a_flight_the_longer_is_stored_whole(put):
+    short, long = (
+        put("AAA/T1/hx/b.csv", lines("C1", 3, 401)),
+        put("AAA/T1/hx/a.csv", lines("C1", 6)),
+    )
+    read = read_balanced(long, short)
     assert [d.n_loaded for d in read] == [6, 0]
     assert read[1].quarantine["reason"].to_list() == ["conflicting_delivery"] * 3
-    assert balanced(read)
 
 
-def test_the_same_again_is_a_duplicate(deliver):
-    files = [deliver(f"AAA/T1/hx/{n}.csv", lines("C1", 4)) for n in "ab"]
-    read = delivered(files, NOW)
+def test_the_same_again_is_a_duplicate(put):
+    files = [put(f"AAA/T1/hx/{n}.csv", lines("C1", 4)) for n in "ab"]
+    read = read_balanced(*files)
     assert sorted((d.n_loaded, d.n_duplicate) for d in read) == [(0, 4), (4, 0)]
-    assert balanced(read)
 
 
-def test_a_parquet_file_is_read_as_the_same_rows(deliver, tmp_path):
-    text = deliver("AAA/T1/hx/a.csv", lines("C1", 5))
+def test_a_parquet_file_is_read_as_the_same_rows(put, tmp_path):
+    text = put("AAA/T1/hx/a.csv", lines("C1", 5))
     frame = pl.read_csv(tmp_path / text.path).with_columns(pl.col("report_time").str.to_datetime(time_zone="UTC"))
     frame.write_parquet(tmp_path / "AAA/T1/hx/b.parquet")
     other = replace(text, path="AAA/T1/hx/b.parquet")
-    first, second = (delivered([f], NOW)[0] for f in (text, other))
+    first, second = (read_balanced(f)[0] for f in (text, other))
     assert first.rows.drop("file").equals(second.rows.drop("file"))
 
 
@@ -95,14 +96,13 @@ def test_a_parquet_file_is_read_as_the_same_rows(deliver, tmp_path):
         (lines("C1", 1).replace(",0.9,", ",-4,"), "out_of_range"),
     ],
 )
-def test_what_is_wrong_is_told(deliver, text, reason):
-    (read,) = delivered([deliver("AAA/T1/hx/a.csv", text)], NOW)
+def test_what_is_wrong_is_told(put, text, reason):
+    (read,) = read_balanced(put("AAA/T1/hx/a.csv", text))
     assert reason in read.quarantine["reason"].to_list()
-    assert balanced([read])
 
 
-def test_a_file_that_fails_unforeseen_costs_itself_alone(deliver, monkeypatch):
-    files = [deliver(f"AAA/T1/hx/{n}.csv", lines(f"C{n}", 4)) for n in (1, 2, 3)]
+def test_a_file_that_fails_unforeseen_costs_itself_alone(put, monkeypatch):
+    files = [put(f"AAA/T1/hx/{n}.csv", lines(f"C{n}", 4)) for n in (1, 2, 3)]
     real = intake.open_files
 
     def sick(files, *rest):
@@ -111,6 +111,81 @@ def test_a_file_that_fails_unforeseen_costs_itself_alone(deliver, monkeypatch):
         return real(files, *rest)
 
     monkeypatch.setattr(intake, "open_files", sick)
-    read = delivered(files, NOW)
+    read = read_balanced(*files)
     assert [d.n_loaded for d in read] == [4, 0, 4]
     assert read[1].quarantine["reason"].to_list() == ["cannot_process"]
+
+
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+def point(name: str, content: object) -> SimpleNamespace:
+    def load() -> object:
+        if isinstance(content, Exception):
+            raise content
+        return content
+
+    return SimpleNamespace(name=name, value=f"{name}:X", dist=SimpleNamespace(name="pkg"), load=load)
+
+
+@pytest.fixture
+def bring(monkeypatch):
+    """Have packages bring something else for this test."""
+
+    def instead(*points: SimpleNamespace) -> None:
+        monkeypatch.setattr(loading, "entry_points", lambda group: points)
+        readers.cache_clear()
+
+    yield instead
+    readers.cache_clear()
+
+
+def reader(*folders: str) -> ModuleType:
+    module = ModuleType("made")
+    names = [n for n in dir(Reader) if not n.startswith("_")] + list(Reader.__annotations__)
+    module.__dict__.update(dict.fromkeys(names, lambda *_: None), FOLDERS=folders)
+    return module
+
+
+@pytest.mark.parametrize(("content", "message"), [
+    (RuntimeError("no licence"), "can't be loaded: RuntimeError: no licence"),
+    (ModuleType("empty"), "is no Reader"),
+    (reader("tapes", "drums"), "there is a reader of drums/ already"),
+])  # fmt: skip
+def test_a_package_that_brings_none_is_named_in_one_line(bring, content, message):
+    bring(point("first", reader("drums")), point("second", content))
+    with pytest.raises(ReaderError, match=rf"the reader second \(second:X, of the package pkg\):? {message}"):
+        readers()
+
+
+def test_each_folder_has_its_reader(bring):
+    one, other = reader("drums"), reader("tapes", "wires")
+    bring(point("a", one), point("b", other))
+    assert readers() == {"drums": one, "tapes": other, "wires": other}
+
+
+def test_without_a_reader_folders_are_set_aside_by_name_and_nothing_else_is(bring, tmp_path):
+    for path in (
+        "types/T.toml",
+        "AAA/T-1/recorder/T-1_20240101_01.dat",
+        "AAA/T-1/reports/a.dat",
+        "AAA/T-1/cpl/a.parquet",
+    ):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).touch()
+    bring()
+    listed = list_landing(tmp_path)
+    assert [f.path for f in listed.files] == ["AAA/T-1/cpl/a.parquet"]
+    details = dict(listed.quarantine.select("file", "detail").rows())
+    assert sorted(details) == ["AAA/T-1/recorder", "AAA/T-1/reports", "types"]
+    assert all("hdt_recorder of the package hybrid-digital-twin-extensions reads it" in why for why in details.values())
+
+
+def test_a_recording_of_earlier_nights_gives_nothing_and_says_why(bring, tmp_path):
+    bring()
+    path = "AAA/T-1/recorder/T-1_20240101_01.dat"
+    file = LandingFile(str(tmp_path), path, "AAA", "T-1", "recorder", 1, 0)
+    intake = read_snapshots([file], NOW)
+    assert (intake.rows.height, intake.delivered["n_delivered"].sum()) == (0, 0)
+    assert "recorder/: hdt_recorder of the package" in intake.quarantine["detail"].item()
+    assert read_components([file], NOW) == []

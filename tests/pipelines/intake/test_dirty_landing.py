@@ -1,17 +1,27 @@
-"""Every row of tests/data/dirty/expected.md: what is wrong with each file, and what became of it."""
+"""Every row of tests/data/dirty/expected.md; the flight of the how-to; and what one bad file may cost at the most."""
 
+import os
 import re
+import subprocess
+import sys
+import time
+from hashlib import blake2b
 from pathlib import Path
 
 import polars as pl
 import pytest
 from accounts import account
+from pages import walk
+from polars.testing import assert_frame_equal
+from spoils import claims_too_much, long_words
 
+from pipelines.intake import snapshots
 from pipelines.intake.landing import list_landing
 from pipelines.intake.logs import read_fleet, read_maintenance, read_messages
 from pipelines.intake.merge import merge_deliveries
+from pipelines.intake.snapshots import read_snapshots
 
-ROOT = Path(__file__).parents[2] / "data" / "dirty"
+ROOT, PROJECT = Path(__file__).parents[2] / "data" / "dirty", Path(__file__).parents[3]
 
 # file: reason, scope, entries, rows kept out, rows read, columns that must be named
 EXPECTED: dict[str, tuple[str | None, str | None, int, int, int, str]] = {
@@ -102,3 +112,103 @@ def test_repeated_rows_are_stored_once_and_the_ledger_balances(landing, intake):
     }
     assert merged.quarantine.is_empty()
     assert account(intake.delivered, merged.rows, merged.duplicates, intake.quarantine)["balanced"].all()
+
+
+def test_the_flight_of_the_how_to_is_taken_in_as_the_recorder_gave_it(monkeypatch, now):
+    monkeypatch.chdir(PROJECT)
+    page = walk("raw-data.md")
+    written, sample = list_landing(page["landing"]), list_landing(PROJECT / "data_samples")
+    mine = read_snapshots([f for f in written.files if f.tail == "9H-XYZ"], now)
+    same = read_snapshots([f for f in sample.files if f"data_samples/{f.path}" == page["sample"]], now)
+    assert written.quarantine.height == mine.quarantine.height == 0
+    assert mine.rows["operator"].unique().to_list() == ["XYZ"]
+    columns = ["time_utc", "pack", "altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k",
+             "ram_door_open", "pack_flow_kg_s"]  # fmt: skip
+    assert mine.rows.height == same.rows.height > 30
+    assert_frame_equal(mine.rows.select(columns), same.rows.select(columns), rel_tol=1e-6)
+    assert mine.rows.select(pl.col("ram_out_k", "cc_speed_rad_s").is_null().all()).row(0) == (True, True)
+
+
+CSV = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
+N = 42  # rows of the good flight
+
+
+def test_a_hostile_number_of_bad_rows_is_counted_and_not_listed(good_flight, deliver, read):
+    head = good_flight.splitlines(keepends=True)[0]
+    lines = read(deliver({CSV: head + b"x\n" * 30_000}))
+    rows = read(deliver({CSV: head + good_flight.splitlines(keepends=True)[1].replace(b",1,", b",9,", 1) * 30_000}))
+    for intake, reason in ((lines, "wrong_field_count"), (rows, "bad_pack")):
+        assert set(intake.quarantine["reason"]) == {reason}
+        assert intake.quarantine.height == 10_001
+        assert intake.quarantine["n_rows"].sum() == 30_000 == intake.delivered["n_delivered"].sum()
+
+
+def test_a_file_beyond_the_limit_is_refused_unread(good_flight, deliver, read, monkeypatch):
+    monkeypatch.setattr("pipelines.intake.landing_file.MAX_TEXT_BYTES", 1000)
+    assert read(deliver({CSV: good_flight})).quarantine["reason"].to_list() == ["too_large"]
+
+
+MEGABYTES = {
+    "other columns": (b"a,b\n", b"a,b\n", "missing_columns"),
+    "no header": (b"", b"1,2\n", "no_header"),
+    "semicolons": (b"a;b\n", b"1;2\n", "wrong_separator"),
+    "old Macintosh": (b"a,b\r", b"a,b\r", "missing_columns"),
+    "the right header": (b"flight_id,report_time,pack,mach\n", b"x\n", "too_large"),
+    "one line": (b"", b"a,", "no_header"),
+}
+
+
+@pytest.mark.parametrize(("head", "line", "reason"), MEGABYTES.values(), ids=list(MEGABYTES))
+def test_megabytes_of_lines_that_are_no_report_are_refused_at_once(head, line, reason, deliver, read):
+    n = (60 << 20) // len(line)
+    files = deliver({CSV: head + line * n})
+    began = time.process_time()
+    blake2b(head + line * n)
+    hashed = time.process_time() - began
+    intake = read(files)
+    assert time.process_time() - began < 25.0 * hashed  # some three times; it was six hundred
+    assert intake.quarantine["reason"].to_list() == [reason]
+    assert intake.delivered["n_delivered"].sum() == (0 if line == b"a," else n)
+
+
+@pytest.mark.parametrize("error", [RuntimeError, pl.exceptions.PanicException])
+def test_a_file_nobody_foresaw_costs_itself_alone(error, good_flight, deliver, read, monkeypatch):
+    """Whatever fails, an error or a panic, and wherever: the batch is halved until the one file is found."""
+    files = deliver({f"AQX/LX-AAA/acms/copy {i}.csv": good_flight for i in range(7)})
+    real = snapshots.validate_rows
+
+    def sick(raw, files, now):
+        if any("copy 4" in file.path for file in files):
+            raise error("something new")
+        return real(raw, files, now)
+
+    monkeypatch.setattr(snapshots, "validate_rows", sick)
+    intake = read(files)
+    assert intake.rows.height == 6 * N
+    failed = intake.quarantine.filter(pl.col("reason") == "cannot_process")
+    assert failed["file"].to_list() == ["AQX/LX-AAA/acms/copy 4.csv"]
+    assert "something new" in failed["detail"].item()
+
+
+UNDER_A_LIMIT = """
+import resource, sys
+from datetime import UTC, datetime
+from pathlib import Path
+from pipelines.intake.landing import list_landing
+from pipelines.intake.snapshots import read_snapshots
+held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (held + (600 << 20),) * 2)
+intake = read_snapshots(list_landing(Path(sys.argv[1])).files, datetime(2026, 1, 1, tzinfo=UTC))
+print(sorted(set(intake.quarantine["reason"])), intake.rows.height)
+"""
+
+
+def test_parquet_that_unpacks_to_more_than_memory_is_refused_before_it_is_unpacked(good_flight, deliver, tmp_path):
+    """In a process that may take 600 MB more: the bombs cost no memory, and the good file beside them is read."""
+    bombs = {"history_2024-06.parquet": claims_too_much, "history_2024-07.parquet": long_words}
+    deliver({f"AQX/LX-AAA/acms/{name}": make(good_flight) for name, make in bombs.items()} | {CSV: good_flight})
+    one_thread = os.environ | {"POLARS_MAX_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", UNDER_A_LIMIT, tmp_path], env=one_thread, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.strip() == f"['too_large'] {N}", done.stderr

@@ -19,31 +19,8 @@ NOW = datetime(2026, 1, 1, tzinfo=UTC)
 CSV = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
 quick = settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
 
-ODD = st.sampled_from(
-    [
-        b"\x00",
-        b"\xff",
-        b'"',
-        b'""',
-        b",",
-        b"\n",
-        b"\r",
-        b"\r\n",
-        b";",
-        b"nan",
-        b"-inf",
-        b"1e999",
-        b" ",
-        b"=1",
-        b"'",
-        b"1_0",
-        b"\xe2\x80\xae",
-        b"0x1",
-        b"flight_id",
-        b"2024-02-30T00:00:00Z",
-        b"\xef\xbb\xbf",
-    ]
-)
+WORDS = b'\x00 \xff " "" , \n \r \r\n ; nan -inf 1e999 =1 \' 1_0 \xe2\x80\xae 0x1 flight_id \xef\xbb\xbf'
+ODD = st.sampled_from([b" ", b"2024-02-30T00:00:00Z", *WORDS.split(b" ")])
 
 
 @pytest.fixture(scope="module")

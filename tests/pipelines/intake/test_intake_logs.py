@@ -1,8 +1,18 @@
-"""The classes of bad input in messages, maintenance and the fleet list."""
+"""What people write: messages, work, the fleet list, planned checks, costs and findings; a fault named by its place."""
 
+import datetime as dt
+
+import polars as pl
 import pytest
+from small_catalog import OWN
 
-from pipelines.intake.logs import read_fleet, read_maintenance, read_messages
+from hdt_core.records.unit_index import date_entries
+from hdt_core.tables import TABLES
+from pipelines.intake.costs import DEFAULTS, NAME, CostError, costs_or_fault, read_costs
+from pipelines.intake.findings import case_files, with_findings
+from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_file import FileIntake
+from pipelines.intake.logs import read_checks, read_fleet, read_maintenance, read_messages
 
 MESSAGE = "message_time,flight_id,pack,code,text\n"
 WORK = "done_on,pack,component,action,finding,reference\n"
@@ -50,14 +60,11 @@ def test_class_of_log(kind, content, reason, deliver, now):
     assert log.n_delivered == log.rows.height + log.n_duplicate + log.quarantine["n_rows"].sum()
 
 
-def test_rows_that_stand_twice_in_a_log_count_once(deliver, now):
+def test_rows_of_work_that_stand_twice_count_once_and_give_a_day_or_a_time_of_day(deliver, now):
     row = "2024-05-03,1,HX,REPLACED,FOULED,WO1\n"
     content = WORK + 3 * row
     log = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now)
     assert (log.rows.height, log.n_duplicate, log.n_delivered) == (1, 2, 3)
-
-
-def test_a_log_of_work_gives_a_day_or_a_time_of_day(deliver, now):
     lines = ["2024-05-03", "2024-05-04T00:30:00+02:00", "2024-05-04T14:20:00Z"]
     content = WORK + "".join(f"{line},1,HX,REPLACED,FOULED,WO{k}\n" for k, line in enumerate(lines))
     rows = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now).rows.sort("reference")
@@ -74,3 +81,137 @@ def test_the_fleet_list_says_which_packs_there_are_and_since_when(deliver, now):
     reasons = dict(log.quarantine.select("reason", "column_name").iter_rows())
     assert reasons == {"bad_pack": "pack", "before_delivery": "done_on"}
     assert "2013-05-03" in log.quarantine.filter(reason="before_delivery")["detail"].item()
+
+
+BEFORE_CHECKS = dt.datetime(2024, 6, 19, tzinfo=dt.UTC)
+GOOD = [("AAA", "T-1", "2024-07-01", "A12"), ("AAA", "T-2", "2024-09-01", "C1")]
+BAD = [("A", "T-1", "2024-07-01", "A12"), ("AAA", "T-1", "soon", "A12"), ("AAA", "T-1", "2099-01-01", "A12")]
+CHECK_COLUMNS = ["operator", "tail", "date", "name"]
+
+
+@pytest.fixture
+def read_plan(tmp_path):
+    """The planned checks of a landing zone in which `write` puts a file."""
+
+    def read(name: str, write) -> FileIntake:
+        (tmp_path / "fleet.csv").write_text("operator,tail\n")
+        write(tmp_path / name)
+        (file,) = [f for f in list_landing(tmp_path).files if f.kind == "checks"]
+        return read_checks(file, BEFORE_CHECKS)
+
+    return read
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_bad_rows_are_quarantined_with_row_and_column_and_the_good_go_on(read_plan, kind):
+    frame = pl.DataFrame([*GOOD, *BAD], schema=CHECK_COLUMNS, orient="row")
+    read = read_plan(f"checks.{kind}", getattr(frame, f"write_{kind}"))
+    assert [(r[0], r[1], str(r[2]), r[3]) for r in read.rows.rows()] == GOOD
+    first = 4 if kind == "csv" else 3
+    assert read.quarantine.select("row", "column_name", "reason").rows() == [
+        (first, "operator, tail", "bad_key"),
+        (first + 1, "date", "unreadable_time"),
+        (first + 2, "date", "unreadable_time"),
+    ]
+    assert read.n_delivered == 5 == read.n_loaded + read.quarantine["n_rows"].sum()
+
+
+def test_dates_of_parquet_may_be_dates(read_plan):
+    day = dt.date(2024, 7, 1)
+    for dates in ([day, None], [dt.datetime(2024, 7, 1), dt.datetime(2024, 7, 2)]):
+        frame = pl.DataFrame({"operator": ["AAA"] * 2, "tail": ["T-1"] * 2, "date": dates})
+        assert read_plan("checks.parquet", frame.write_parquet).rows["planned_on"][0] == day
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1", b"operator,tail,date\n", b"PAR1" + bytes(40) + b"PAR1"])
+def test_a_broken_file_is_told_and_nothing_comes_of_it(read_plan, content):
+    read = read_plan("checks.parquet", lambda path: path.write_bytes(content))
+    assert read.rows.is_empty()
+    assert read.quarantine["reason"].to_list() == ["cannot_read_parquet"]
+
+
+def test_what_the_file_says_counts_over_the_defaults_which_say_so(tmp_path):
+    costs = read_costs(tmp_path)
+    assert set(costs["source"]) == {"default"}
+    assert costs.filter(component="HX", item="wash")["cost"].item() == DEFAULTS["HX"]["wash"]
+    (tmp_path / NAME).write_text('currency = "EUR"\nhorizon_days = 14\n[HX]\nwash = 1234.5\n')
+    costs = read_costs(tmp_path)
+    assert set(costs["currency"]) == {"EUR"}
+    assert set(costs["horizon_days"]) == {14}
+    assert costs.filter(component="HX", item="wash").select("cost", "source").rows() == [(1234.5, NAME)]
+    assert costs.filter(component="HX", item="replace")["source"].item() == "default"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[HX]\nwash = -1\n", r"costs\.toml: HX\.wash: is a number from 0 to 1e\+12, not -1"),
+        ('[HX]\nwash = "cheap"\n', r"costs\.toml: HX\.wash: is a number from 0 to 1e\+12, not 'cheap'"),
+        ("[HX]\npolish = 1\n", r"costs\.toml: HX\.polish: means nothing; there are wash, replace"),
+        ("[WING]\nwash = 1\n", r"costs\.toml: WING: is no table of a component"),
+        ("HX = 3\n", r"costs\.toml: HX: is no table"),
+        ("horizon_days = 0\n", r"costs\.toml: horizon_days: is a whole number of days"),
+        ("currency = 3\n", r"costs\.toml: currency"),
+        ("[HX\n", r"costs\.toml: can't be read"),
+    ],
+)
+def test_a_bad_value_is_named_with_file_and_key_and_no_other_cost_is_told(tmp_path, text, message):
+    (tmp_path / NAME).write_text(text)
+    with pytest.raises(CostError, match=message):
+        read_costs(tmp_path)
+    costs, (fault,) = costs_or_fault(tmp_path)
+    assert costs.is_empty()
+    assert fault.reason == "bad_cost"
+
+
+DAY = dt.date(2024, 6, 19)
+
+
+def log(**line: object) -> pl.DataFrame:
+    entry = {"done_on": DAY, "component": "HX", "action": "INSPECTED", "finding": "NO_FAULT_FOUND", "reference": "WO1"}
+    return TABLES["raw_maintenance"].schema.conform(pl.DataFrame([OWN | entry | line], infer_schema_length=None))
+
+
+def case(line: int = 1, kind: str = "close", **values: object) -> dict:
+    at = dt.datetime(2024, 6, 19, 5, tzinfo=dt.UTC)
+    about = {"line": line, "at": at, "alert_id": "a1", "component": "HX", "diagnosis": "HX_FOULING", "kind": kind}
+    answer = {"finding": "NO_FAULT_FOUND", "action": "INSPECTED", "done_on": DAY} if kind == "close" else {}
+    return OWN | about | {"person": "Ada"} | answer | values
+
+
+def cases(*rows: dict) -> pl.DataFrame:
+    return TABLES["raw_cases"].schema.conform(pl.DataFrame(list(rows), infer_schema_length=None))
+
+
+def test_the_same_finding_makes_the_same_line_whoever_tells_it():
+    columns = ("operator", "tail", "pack", "component", "action", "finding", "done_on", "counts_from")
+    by_log = date_entries(with_findings(log(), cases(case()).clear()))
+    by_case = date_entries(with_findings(log().clear(), cases(case())))
+    assert by_log.select(columns).equals(by_case.select(columns))
+    assert (by_log["source"].item(), by_case["source"].item()) == ("log", "case")
+    assert by_case["closes_alert_id"].item() == "a1"
+
+
+def test_work_that_both_tell_of_stands_once():
+    finding = case(action="REPLACED", finding="FOULED", done_on=DAY - dt.timedelta(days=2))
+    (row,) = with_findings(log(action="REPLACED", finding=None), cases(finding)).to_dicts()
+    assert (row["done_on"], row["finding"], row["reference"], row["closes_alert_id"]) == (DAY, "FOULED", "WO1", "a1")
+    assert with_findings(log(action="CLEANED"), cases(finding)).height == 2, "other work"
+    assert with_findings(log(action="REPLACED", done_on=DAY + dt.timedelta(days=9)), cases(finding)).height == 2
+
+
+def test_the_last_word_on_an_alert_counts_and_may_be_taken_back():
+    again = case(2, finding="FOULED", action="CLEANED")
+    assert with_findings(log().clear(), cases(case(), again))["finding"].to_list() == ["FOULED"]
+    assert with_findings(log().clear(), cases(case(), case(2, "reopen"))).is_empty()
+
+
+def test_only_what_was_found_makes_the_work_of_an_aircraft_new():
+    """An acknowledgement is on record without a night that makes the twin again."""
+    acknowledged = {kind: digest for _, _, _, kind, _, _, digest in case_files(cases(case(kind="acknowledge")))}
+    assert set(acknowledged) == {"cases"}
+    before = {f[3]: f[6] for f in case_files(cases(case(kind="acknowledge"), case(2)))}
+    more = {f[3]: f[6] for f in case_files(cases(case(kind="acknowledge"), case(2), case(3, "watch")))}
+    taken_back = {f[3]: f[6] for f in case_files(cases(case(), case(2), case(3, "reopen")))}
+    assert before["findings"] == more["findings"] != taken_back["findings"]
+    assert before["cases"] != more["cases"]

@@ -1,6 +1,5 @@
 """Late, repeated and out-of-order deliveries end where a clean delivery ends."""
 
-import io
 import random
 
 import polars as pl
@@ -8,22 +7,18 @@ import pytest
 from accounts import account
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from spoils import field, parquet
 
 from pipelines.intake.columns import SIGNAL_COLUMNS
+from pipelines.intake.landing import list_landing
 from pipelines.intake.merge import merge_deliveries
 
 CSV = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
 COPY = "AQX/LX-AAA/acms/copy.csv"
 
 
-def with_field(content: bytes, row: int, column: str, value: bytes) -> bytes:
-    lines = [x.split(b",") for x in content.splitlines()]
-    lines[row][lines[0].index(column.encode())] = value
-    return b"".join(b",".join(x) + b"\n" for x in lines)
-
-
 def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, deliver, read, now):
-    files = deliver({CSV: good_flight, COPY: with_field(good_flight, 5, "hx_out_degc", b"77.5")})
+    files = deliver({CSV: good_flight, COPY: field(5, "hx_out_degc", b"77.5")(good_flight)})
     merged = merge_deliveries([read(files).rows], {f.path: f.received_at for f in files})
     assert merged.rows.height == 42
     assert merged.duplicates["n_duplicate"].sum() == 41
@@ -35,19 +30,34 @@ def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, de
 
 
 def test_a_flight_in_two_history_files_with_other_values(good_flight, deliver, read):
-    original, other = (
-        pl.read_csv(content) for content in (good_flight, with_field(good_flight, 5, "hx_out_degc", b"77.5"))
-    )
-    files = {}
-    for name, frame in (("history_2024-05", original), ("history_2024-05 (1)", other)):
-        sink = io.BytesIO()
-        frame.write_parquet(sink)
-        files[f"AQX/LX-AAA/acms/{name}.parquet"] = sink.getvalue()
+    contents = parquet(good_flight), parquet(field(5, "hx_out_degc", b"77.5")(good_flight))
+    names = (f"AQX/LX-AAA/acms/history_2024-05{more}.parquet" for more in ("", " (1)"))
+    files = dict(zip(names, contents, strict=True))
     merged = merge_deliveries([read(deliver(files)).rows], {})
     assert (merged.rows.height, merged.duplicates["n_duplicate"].sum()) == (42, 41)
     (conflict,) = merged.quarantine.rows(named=True)
     assert (conflict["reason"], conflict["row"], conflict["column_name"]) == ("conflicting_delivery", 5, "hx_out_k")
     assert sum(name in conflict["detail"] for name in files) == 1
+
+
+@pytest.fixture(scope="module")
+def read_zone(tmp_path_factory, read):
+    """Writes files of a landing zone, and reads it: the files and what came of them."""
+    root = tmp_path_factory.mktemp("zone")
+
+    def write(files: dict[str, bytes]):
+        for name, content in files.items():
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            (root / name).write_bytes(content)
+        listed = [f for f in list_landing(root).files if f.path in files]
+        return listed, read(listed)
+
+    return write
+
+
+@pytest.fixture(scope="module")
+def growing(good_flight, read_zone):
+    return (lambda cut: read_zone({CSV: good_flight[:-cut]})[1]), read_zone({CSV: good_flight})[1]
 
 
 @settings(max_examples=60, deadline=None)
@@ -63,47 +73,32 @@ def test_a_file_read_while_it_grows_says_nothing_that_it_does_not_say_when_it_is
     assert merged.quarantine.is_empty()
 
 
-@pytest.fixture(scope="module")
-def growing(good_flight, tmp_path_factory, read):
-    from pipelines.intake.landing import list_landing
-
-    root = tmp_path_factory.mktemp("zone")
-    (root / CSV).parent.mkdir(parents=True)
-
-    def read_part(cut: int):
-        (root / CSV).write_bytes(good_flight[:-cut])
-        return read(list_landing(root).files)
-
-    (root / CSV).write_bytes(good_flight)
-    return read_part, read(list_landing(root).files)
-
-
 def test_a_delivery_with_more_values_wins_whatever_its_name(good_flight, deliver, read):
-    poorer = with_field(good_flight, 5, "hx_out_degc", b"")
+    poorer = field(5, "hx_out_degc", b"")(good_flight)
     for pair in ({CSV: poorer, COPY: good_flight}, {CSV: good_flight, COPY: poorer}):
         merged = merge_deliveries([read(deliver(pair)).rows], {})
         assert merged.rows["hx_out_k"].null_count() == 0
         assert merged.quarantine.is_empty()
 
 
-def test_numbers_that_went_through_32_bits_are_the_same_numbers(good_flight, deliver, read):
+def test_numbers_that_went_through_32_bits_are_the_same_and_a_log_is_another_record(good_flight, deliver, read):
     rows = read(deliver({CSV: good_flight})).rows
     names = [c.si_name for c in SIGNAL_COLUMNS]
     rounded = rows.with_columns(pl.col(names).cast(pl.Float32).cast(pl.Float64), pl.lit(COPY).alias("file"))
     merged = merge_deliveries([rows, rounded], {})
     assert merged.rows.height == 42
     assert merged.quarantine.is_empty()
-
-
-def test_snapshot_and_log_of_the_same_second_are_two_records(good_flight, deliver, read):
-    rows = read(deliver({CSV: good_flight})).rows
     both = merge_deliveries([rows, rows.with_columns(pl.lit("cpl").alias("source"))], {})
     assert both.rows.height == 84
+    assert all(f.is_empty() for f in merge_deliveries([rows.clear()], {}))
 
 
-def test_nothing_merges_to_nothing(good_flight, deliver, read):
-    rows = read(deliver({CSV: good_flight})).rows.clear()
-    assert all(f.is_empty() for f in merge_deliveries([rows], {}))
+@pytest.fixture(scope="module")
+def three_deliveries(good_flight, read_zone):
+    spoiled = field(9, "vda_pos", b"")(field(5, "mach", b"0.5")(good_flight))
+    files, intake = read_zone({CSV: good_flight, COPY: good_flight, "AQX/LX-AAA/acms/third.csv": spoiled})
+    at = {f.path: f.received_at for f in files}
+    return intake, at, merge_deliveries([intake.rows], at)
 
 
 @settings(max_examples=25, deadline=None)
@@ -121,18 +116,3 @@ def test_the_order_of_delivery_does_not_matter(seed, three_deliveries):
     assert merged.quarantine.sort("file", "row").equals(clean.quarantine.sort("file", "row"))
     ledger = account(intake.delivered, merged.rows, merged.duplicates, merged.quarantine)
     assert ledger["balanced"].all()
-
-
-@pytest.fixture(scope="module")
-def three_deliveries(good_flight, tmp_path_factory, read):
-    from pipelines.intake.landing import list_landing
-
-    root = tmp_path_factory.mktemp("zone")
-    spoiled = with_field(with_field(good_flight, 5, "mach", b"0.5"), 9, "vda_pos", b"")
-    for name, content in {CSV: good_flight, COPY: good_flight, "AQX/LX-AAA/acms/third.csv": spoiled}.items():
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        (root / name).write_bytes(content)
-    files = list_landing(root).files
-    intake = read(files)
-    at = {f.path: f.received_at for f in files}
-    return intake, at, merge_deliveries([intake.rows], at)
