@@ -7,10 +7,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hdt_benchmark.spring_mass_damper import DT_S, SIGMA_M, TRUTH, force_n, oscillator_problem, true_position_m
 from hdt_benchmark.oscillator_kernels import oscillator_kernels
 from hdt_benchmark.peers import installed
-from hdt_benchmark.spring_mass_damper import SPRING_MASS_DAMPER, euler_position_m
+from hdt_benchmark.spring_mass_damper import (
+    DT_S,
+    SIGMA_M,
+    SPRING_MASS_DAMPER,
+    TRUTH,
+    euler_position_m,
+    force_n,
+    oscillator_problem,
+    true_position_m,
+)
 from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, ParticleSwarm, UnscentedKalman
 from hdt_core.estimation.fit import fisher
 from hdt_estimators import GradientDescent

@@ -7,9 +7,9 @@ from pathlib import Path
 import polars as pl
 import pytest
 
+from hdt_core.alerts.alerts import VALUES
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.alerts.phrases import THEN
-from hdt_core.alerts.alerts import VALUES
 from hdt_core.components import components
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.tasks import ACTIONS, Task, action_of, read_tasks, tasks_of, work_text

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from recordings import DATA, DEMO_717, DEMO_767, frames_717, frames_767, pack, random_raw, raw_767, read, vec
 
-from hdt_recorder.decoding.coding import PACKINGS
-from hdt_recorder.decoding.coding import LookupTable, Polynomial, Segments
+from hdt_recorder.decoding.coding import PACKINGS, LookupTable, Polynomial, Segments
 from hdt_recorder.decoding.layout import MapError
 from hdt_recorder.decoding.plain_map import read_csv, read_toml
 from hdt_recorder.decoding.vec_map import read_vec

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import DEMO_717, DEMO_767, frames_717, frames_767, pack, random_raw, raw_767, read
 
-from hdt_recorder.decoding.coding import PACKINGS
-from hdt_recorder.decoding.coding import Coding
+from hdt_recorder.decoding.coding import PACKINGS, Coding
 from hdt_recorder.decoding.fit import recognise
 from hdt_recorder.decoding.frames_717 import WORD_COUNTS
 from hdt_recorder.decoding.layout import Counter, Map717, MapError, Parameter, Piece, Sample
