@@ -224,7 +224,7 @@ def curves(fleets: list[Frames]) -> str:
 
 
 def _at_limits(fleet: Frames) -> Iterator[tuple[str, float, bool, Tally]]:
-    for trial in trials(fleet["features"], pl.DataFrame(), fleet["maintenance"]):
+    for trial in trials(fleet["features"], fleet["maintenance"]):
         yield trial.diagnosis, trial.value, trial.in_service, tally(fleet, trial.alerts)
 
 

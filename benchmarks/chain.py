@@ -34,7 +34,7 @@ RECORD = ("snapshots", "maintenance", "messages")
 
 
 def legs(snapshots: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame) -> Tables:
-    verdicts, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
+    verdicts, samples = judge_legs(snapshots)
     return {"verdicts": verdicts, "samples": samples}
 
 
@@ -107,8 +107,8 @@ def features(
     return {"features": described.join(demands, on=key, how="left", maintain_order="left")}
 
 
-def alert(features: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFrame) -> Tables:
-    return {"alerts": raise_alerts(features, health, maintenance)}
+def alert(features: pl.DataFrame, maintenance: pl.DataFrame) -> Tables:
+    return {"alerts": raise_alerts(features, maintenance)}
 
 
 def foretell(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> Tables:

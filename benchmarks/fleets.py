@@ -69,7 +69,7 @@ def fleet_of(seed: int, settings: FleetSettings) -> Fleet:
     """Simulate a fleet and judge its legs by themselves, as before a first calibration."""
     record = simulate_record(seed, settings)
     snapshots, maintenance, messages = (record[name] for name in RECORD)
-    legs, samples = judge_legs(snapshots, maintenance.clear(), messages.clear())
+    legs, samples = judge_legs(snapshots)
     truth = record["health"].filter("arrived").with_columns(pl.col("pack").cast(pl.Int32))
     return Fleet(legs, samples, maintenance, messages, truth)
 

@@ -17,9 +17,9 @@ from hdt_core.alerts.door_faults import door_cases
 from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.sensor_faults import may_feign_wear, outlet_doubtful, sensor_cases
 from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases
-from hdt_core.health.detection import Array
-from hdt_core.records.keys import LEG, PACK
+from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import NEW_UNIT, select_entries
+from hdt_core.robust import Array
 
 REPEAT_DAYS = 90
 """Days within which units of one position are counted."""
@@ -38,17 +38,13 @@ SCHEMA: dict[str, Any] = {
 }  # fmt: skip
 
 
-def raise_alerts(
-    features: pl.DataFrame, health_parameters: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | None = None
-) -> pl.DataFrame:
+def raise_alerts(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | None = None) -> pl.DataFrame:
     """Raise the alerts of a fleet, one row a case.
 
     Parameters
     ----------
     features : DataFrame
         `features.features(...)` with the cross-check columns, from which door and sensor faults are detected.
-    health_parameters : DataFrame
-        Long form; fills in health where `features` carries none.
     maintenance : DataFrame
         operator, tail, pack, done_on, component, action, finding. Work on a component ends its cases, and so does
         an inspection without a finding.
@@ -61,7 +57,7 @@ def raise_alerts(
     if features.is_empty():
         return pl.DataFrame(schema=SCHEMA)
     limits = limits or Limits()
-    grid = Grid.from_frame(with_health(features, health_parameters))
+    grid = Grid.from_frame(features)
     # doors first, then sensors, then wear: what a faulty door or sensor explains is not called wear
     disturbances = find_disturbances(grid, maintenance, limits)
     cases = disturbances.cases + wear_cases(grid, maintenance, limits, disturbances)
@@ -124,17 +120,6 @@ def wear_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, disturbanc
     low = low_margin_cases(grid, maintenance, limits, disturbances.outlet_doubtful | disturbances.wear_feigned)
     exchangers = hx_cases(grid, maintenance, limits, disturbances.wear_doubtful, open_flights(grid.shape, low))
     return exchangers + low + compressors
-
-
-def with_health(features: pl.DataFrame, health_parameters: pl.DataFrame) -> pl.DataFrame:
-    """Add the health columns that the rules need, from the long form where `features` lacks them."""
-    wide = features
-    for name in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m"):
-        if name not in wide.columns and health_parameters.height:
-            one = health_parameters.filter(pl.col("parameter") == name).unique(LEG, keep="last")
-            both = pl.col("value").alias(name), pl.col("sd").alias(f"{name}_sd")
-            wide = wide.join(one.select(*LEG, *both), on=LEG, how="left", validate="m:1")
-    return wide
 
 
 def _alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis) -> tuple[Any, ...]:
@@ -209,9 +194,7 @@ class Trial:
     alerts: pl.DataFrame
 
 
-def trials(
-    features: pl.DataFrame, health_parameters: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | None = None
-) -> Iterator[Trial]:
+def trials(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | None = None) -> Iterator[Trial]:
     """Yield the alerts of a fleet at other limits, one at a time; arguments as of `alerts.raise_alerts`.
 
     Door and sensor cases are found once and stay fixed while a limit of wear changes.
@@ -219,7 +202,7 @@ def trials(
     if features.is_empty():
         return
     limits = limits or Limits()
-    grid = Grid.from_frame(with_health(features, health_parameters))
+    grid = Grid.from_frame(features)
     disturbances = find_disturbances(grid, maintenance, limits)
     for diagnosis, (name, values) in VALUES.items():
         for value in values:

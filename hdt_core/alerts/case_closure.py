@@ -14,9 +14,10 @@ from hdt_core.alerts.cases import Case, Limits, case_id, fact_after, runs
 from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis
 from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.wear import RISE_MARGIN
-from hdt_core.health.detection import Array, persistent
+from hdt_core.health.detection import persistent
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import date_entries, select_entries
+from hdt_core.robust import Array
 
 NO_FAULT, INSPECTIONS = "NO_FAULT_FOUND", ("INSPECTED",)
 RENEWED, FOUND_CLEAN = "renewed", "found_clean"

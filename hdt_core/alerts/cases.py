@@ -11,7 +11,7 @@ import numpy as np
 from hdt_core.alerts.grid import Grid
 from hdt_core.components.pack import CC, HX
 from hdt_core.flight.legs import DOOR_STILL
-from hdt_core.health.detection import Array
+from hdt_core.robust import Array
 
 REPAIR = ("REPLACED", "CLEANED", "ADJUSTED")
 """Actions that change a part, so that its level before them no longer counts."""

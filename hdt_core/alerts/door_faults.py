@@ -6,8 +6,9 @@ import polars as pl
 from hdt_core.alerts.cases import REPAIR, Case, Limits, runs
 from hdt_core.alerts.grid import Grid
 from hdt_core.flight.control_schedules import DOOR_FREE
-from hdt_core.health.detection import Array, persistent
+from hdt_core.health.detection import persistent
 from hdt_core.records.keys import PACK
+from hdt_core.robust import Array
 
 STOP_MEMORY = 40
 """Flights within which two hits of the same opening confirm a stop."""

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hdt_core.alerts.grid import Grid
-from hdt_core.health.detection import Array, Shift
+from hdt_core.health.detection import Shift
+from hdt_core.robust import Array
 
 
 @dataclass(frozen=True, slots=True)

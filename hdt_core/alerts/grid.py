@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from hdt_core.health.detection import Array
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import first_flights
+from hdt_core.robust import Array
 
 UNOBSERVED = ("predicted", "prior_only")
 """Statuses of an estimate that the flight did not update, as in the view `health_parameters` (`is_observed`)."""

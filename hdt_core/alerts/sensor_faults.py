@@ -9,7 +9,8 @@ import polars as pl
 from hdt_core.alerts.cases import REPAIR, Case, Limits, runs
 from hdt_core.alerts.fault_isolation import CHANNELS, HX_STEP, SHARED_SENSORS, Indications
 from hdt_core.alerts.grid import Grid
-from hdt_core.health.detection import Array, Cusum, persistent, watch
+from hdt_core.health.detection import Cusum, persistent, watch
+from hdt_core.robust import Array
 from hdt_core.tables.raw import SIGNALS
 
 OUTLET_CHECKS = ("hx_out_minus_target_k", "hx_out_between_packs_k")

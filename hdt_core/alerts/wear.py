@@ -7,7 +7,8 @@ from scipy.special import ndtr
 from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, REPAIR, WEAR_LIMIT, Case, Limits, fact_after, runs
 from hdt_core.alerts.grid import Grid
 from hdt_core.components.pack import CC, HX
-from hdt_core.health.detection import Array, Cusum, lingering, persistent, since, watch
+from hdt_core.health.detection import Cusum, lingering, persistent, since, watch
+from hdt_core.robust import Array
 
 SETTLED_FLIGHTS = 5
 """Flights after work on a part before its track counts again."""

@@ -40,6 +40,8 @@ LOSSES = {
 ENOUGH_SAMPLES = 8
 SECOND_LEVEL = {
     BLEED: ODD_BLEED,
+    "MAINTENANCE": "too close to a maintenance action",
+    "MESSAGE": "too close to a message of exchanger or compressor",
     "SENSOR_SHIFT": "a sensor left what it is tied to",
     "UNREST": "the exchanger changed within the cruise, as ice does",
     "STRAY": "the leg stands apart from those before and after it",
@@ -129,7 +131,7 @@ def admit(
     indicators : DataFrame
         Of `leg_indicators`, all flights of each tail.
     maintenance, messages : DataFrame
-        The logs, as `judge_legs` takes them.
+        The logs; entries after a flight count too.
     health_parameters : DataFrame, optional
         The twin's losses with their standard deviations. Without it, before a first calibration, wear is detected
         from the recorded signals alone.

@@ -205,7 +205,7 @@ SAMPLE_COLUMNS = (
     *LEG, "time_utc", "phase", "altitude_m", "tat_k", "hx_out_k", "ram_door_open", "pack_flow_kg_s", "cc_out_pa",
     "cc_speed_rad_s",
 )  # fmt: skip
-"""Columns of the samples that the schedules are learned from; a flight may lack the last."""
+"""Columns of the samples that the schedules are learned from."""
 
 
 def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
@@ -216,7 +216,7 @@ def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
     samples : DataFrame
         `legs_samples` or snapshots with a phase: signals in SI.
     """
-    window = _baseline(samples.select(pl.selectors.by_name(*SAMPLE_COLUMNS, require_all=False)))
+    window = _baseline(samples.select(SAMPLE_COLUMNS))
     pack = pl.struct(PACK).rank("dense").cast(pl.Int64).alias("group")
     flow2 = pl.col("pack_flow_kg_s") ** 2
     running = (pl.col("phase") == "cruise") & (pl.col("pack_flow_kg_s") > RUNNING_KG_S) & (pl.col("cc_out_pa") > 0)
@@ -224,9 +224,7 @@ def learn_schedules(samples: pl.DataFrame) -> ControlSchedules:
     delivery_rows = running_rows.select("tail", "pack", pack, x="altitude_m", y=pl.col("cc_out_pa").log(), third=flow2)
     delivery = fit_schedule(delivery_rows, ALTITUDE_KNOTS_M)
     beyond = above_schedule(delivery, delivery_rows) - delivery.level_column(delivery_rows)
-    no_speed = pl.repeat(None, running_rows.height, dtype=pl.Float64, eager=True)
-    speed = running_rows.get_column("cc_speed_rad_s", default=no_speed).cast(pl.Float64)
-    limit = speed_limit(speed.to_numpy(), beyond.to_numpy())
+    limit = speed_limit(running_rows["cc_speed_rad_s"].cast(pl.Float64).to_numpy(), beyond.to_numpy())
     return ControlSchedules(learn_outlet_schedule(window), delivery, limit)
 
 

@@ -42,22 +42,16 @@ REASONS = {
     "SENSOR_FROZEN": "a sensor repeated one reading where it must have moved",
     "DOOR_STILL": "the ram air door stood still through climb or descent",
     "ICING": "most of the cruise in icing conditions",
-    "MAINTENANCE": "too close to a maintenance action",
-    "MESSAGE": "too close to a message of exchanger or compressor",
 }
 
 
-def judge_legs(
-    snapshots: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.DataFrame
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Apply the rules to every flight and pack, and prepare its samples.
+def judge_legs(snapshots: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Apply the rules to every flight and pack by its own record, and prepare its samples.
 
     Parameters
     ----------
     snapshots : DataFrame
         Recorded rows of both kinds, see `hdt_core.tables`; `source` is `acms` (snapshots) or `cpl` (1 Hz).
-    maintenance, messages : DataFrame
-        Entries after a flight count too; `samples.monitored` depends on neither.
 
     Returns
     -------
@@ -69,7 +63,7 @@ def judge_legs(
         (steady cruise, complete, sick or not), `nominal` (monitored, in an admitted leg, no icing) and `n_averaged`.
     """
     samples = prepare_samples(snapshots)
-    legs = _give_reasons(flag_windows(number_flights(_summarise(samples)), maintenance, messages))
+    legs = _give_reasons(number_flights(_summarise(samples)))
     rows = samples.join(legs.select(*LEG, "admitted"), on=LEG, how="left", maintain_order="left", validate="m:1")
     nominal = pl.col("monitored") & pl.col("admitted") & ~pl.col("icing")
     return legs, rows.with_columns(nominal.alias("nominal")).drop("admitted")
@@ -103,10 +97,7 @@ def _summarise(samples: pl.DataFrame) -> pl.DataFrame:
     legs = samples.group_by(LEG).agg(
         pl.col("departed_at").first(),
         pl.col("time_utc").max().alias("landed_at"),
-        pl.when(pl.col("source").n_unique() > 1)
-        .then(pl.lit("both"))
-        .otherwise(pl.col("source").first())
-        .alias("source"),
+        pl.when(pl.col("source").n_unique() == 1).then(pl.col("source").first()).otherwise(pl.lit("both")),
         pl.len().alias("n_samples"),
         (pl.col("source") == "acms").sum().alias("n_snapshots"),
         pl.col("monitored").sum().alias("n_monitored"),
@@ -134,14 +125,10 @@ def _give_reasons(legs: pl.DataFrame) -> pl.DataFrame:
         "SENSOR_MISSING": pl.any_horizontal(_dropped_out(s) for s in SIGNALS),
         "ICING": (pl.col("n_monitored") >= MIN_NOMINAL) & (pl.col("n_nominal") < MIN_NOMINAL),
         "NO_CRUISE": pl.col("n_nominal") < MIN_NOMINAL,
-        "MAINTENANCE": pl.col("near_maintenance"),
-        "MESSAGE": pl.col("near_message"),
     }
     first = pl.coalesce(*(pl.when(rule).then(pl.lit(code)) for code, rule in rules.items()), pl.lit(""))
     rows = legs.with_columns(first.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
-    return rows.drop(
-        "_flow", "_door_span", "_rise_m", *(f"_missing_{s}" for s in SIGNALS), "near_maintenance", "near_message"
-    )
+    return rows.drop("_flow", "_door_span", "_rise_m", *(f"_missing_{s}" for s in SIGNALS))
 
 
 def _is_off(flow: pl.Expr) -> pl.Expr:
@@ -227,10 +214,7 @@ def flag_windows(legs: pl.DataFrame, maintenance: pl.DataFrame, messages: pl.Dat
 
 def _flag(legs: pl.DataFrame, entries: pl.DataFrame, reach: dict[str, tuple[int, int]], name: str) -> pl.DataFrame:
     """Flag the pack's flights within `reach` (flights before, flights after) of an entry of that kind."""
-    spans = pl.DataFrame(
-        {"kind": list(reach), "_before": [b for b, _ in reach.values()], "_after": [a for _, a in reach.values()]},
-        schema={"kind": pl.String, "_before": pl.Int64, "_after": pl.Int64},
-    )
+    spans = pl.DataFrame([(k, *n) for k, n in reach.items()], schema=["kind", "_before", "_after"], orient="row")
     flights = legs.select(*AIRCRAFT, "departed_at", "flight_number").unique().sort("departed_at")
     entry_spans = entries.join(spans, on="kind", validate="m:1").sort("at")
     # the last flight before the entry; an entry during a long pause concerns no flight

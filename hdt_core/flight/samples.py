@@ -146,15 +146,8 @@ SIGNALS = tuple(LIMITS)
 NOISY = ("pack_flow_kg_s", "cc_flow_kg_s", "cc_speed_rad_s")
 NOISY_RUN, NOISY_RUN_S, OFF_BELOW = 6, 120.0, 0.05
 # bound to the air outside: [m] of climb or descent over which a sound sensor can't repeat its reading
-FROZEN_RISE_M = {
-    "total_pressure_pa": 1_000.0,
-    "cc_in_pa": 1_000.0,
-    "tat_k": 6_000.0,
-    "cc_in_k": 6_000.0,
-    "hx_in_k": 6_000.0,
-    "hx_out_k": 6_000.0,
-    "cc_out_k": 6_000.0,
-}
+FROZEN_RISE_M = dict.fromkeys(("total_pressure_pa", "cc_in_pa"), 1_000.0)
+FROZEN_RISE_M |= dict.fromkeys(("tat_k", "cc_in_k", "hx_in_k", "hx_out_k", "cc_out_k"), 6_000.0)
 
 
 def null_bad_values(records: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:

@@ -4,13 +4,10 @@ Vectorised over units and channels; flights follow one another, so no result use
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
-"""Floats or booleans."""
+from hdt_core.robust import Array
 
 PRIOR_FLIGHTS = 20.0
 """Weight of a series' prior scatter beside the unit's own, in flights."""

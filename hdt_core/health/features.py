@@ -253,7 +253,7 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
     heat_j_kg = flow * mean_specific_heat_j_kg_k(hot_in_k, hot_out_k) * (hot_in_k - hot_out_k) / ram_flow
     rise_k = pl.Series(warmed_k(tat_k, heat_j_kg) - tat_k)
     drop_k = pl.col("hx_in_k") - pl.col("tat_k")
-    ratio = pl.col("ln_ua_ratio").exp()
+    ratio, has_efficiency = pl.col("ln_ua_ratio").exp(), pl.col("efficiency").is_not_null()
     ua_sd = (pl.col("ln_ua_ratio_sd") ** 2 + pl.col("ln_ua_ratio_map_sd") ** 2).sqrt()
     reading_sd = (NOISE_SD["hx_out_k"] ** 2 / pl.col("n_samples").clip(1) + BIAS_SD["hx_out_k"] ** 2).sqrt()
     return twin_flights.select(
@@ -272,14 +272,7 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
         (pl.col("ln_ua_ratio_sd") * ratio).alias("hx_fouling_flight_sd"),
         (1.0 - pl.col("diameter_m") / pl.col("expected_diameter_m")).alias("cc_diameter_deficit"),
         (pl.col("diameter_m_se") / pl.col("expected_diameter_m")).alias("cc_diameter_deficit_sd"),
-        *_cross_checks(),
-    ).with_columns(pl.selectors.float().fill_nan(None))
-
-
-def _cross_checks() -> list[pl.Expr]:
-    has_efficiency = pl.col("efficiency").is_not_null()
-    return [
         pl.when(has_efficiency).then("inlet_apart_k").alias("w_hx_in_over_discharge_k"),
         pl.when(~has_efficiency).then("inlet_apart_k").alias("w_hx_in_over_pressure_k"),
         pl.col("door_apart_ln").alias("w_conductance_off_cruise_ln"),
-    ]
+    ).with_columns(pl.selectors.float().fill_nan(None))

@@ -13,12 +13,12 @@ from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples
 from hdt_core.calibration.compressor import compressor_samples
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.health.detection import Array
 from hdt_core.physics.compressor import exit_temperature_k, expected_diameter_m, inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.records.keys import LEG, PACK
+from hdt_core.robust import Array
 from hdt_core.tables.base import finite
 from hdt_core.tables.twin import Residuals
 

@@ -147,16 +147,13 @@ def _high(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules) -> pl.Da
     """Return samples above `HIGH_M` with target, overheat and excess over target with the door full open."""
     valid = samples.drop_nulls(list(hx.SIGNALS)).filter(pl.col("pack_flow_kg_s") > RUNNING_KG_S)
     rows = _with_level(valid, schedules).filter((pl.col("altitude_m") > HIGH_M) & pl.col("held_k").is_not_null())
-    signals = {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
+    signals = {name: rows[name].to_numpy().astype(float) for name in (*hx.SIGNALS, "ram_out_k")}
     bias = dsm.bias_of(rows)
     held_k = rows["held_k"].to_numpy() - bias[hx.BIASES.index("hx_out_k")]
     full = signals | {"hx_in_k": full_open_inlet_k(rows, dsm.hot_inlet, dsm.design, bias, held_k)}
     excess = full_open_outlet_k(hx.without_bias(full, bias), dsm.design, LN_RATIOS) - held_k[:, None]
     over = pl.when(pl.col("ram_door_open") > FULL_OPEN).then(pl.col("hx_out_k") - pl.col("held_k"))
-    ram_out = {"ram_out_k": rows["ram_out_k"].to_numpy().astype(float)} if "ram_out_k" in rows.columns else {}
-    balance = (
-        hx.ln_ram_flow_ratio({**signals, **ram_out}, dsm.design, bias) if ram_out else np.full(rows.height, np.nan)
-    )
+    balance = hx.ln_ram_flow_ratio(signals, dsm.design, bias)
     return rows.with_columns(
         pl.Series("ln_ram_ratio", np.where(np.isfinite(balance), balance, np.nan)).fill_nan(None),
         pl.Series("hx_in_k", full["hx_in_k"]),

@@ -10,13 +10,12 @@ part at the end of a life that is over. See `docs/calibration.md` for how often 
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import polars as pl
 
 from hdt_core.records.keys import AIRCRAFT, PACK
+from hdt_core.robust import Array
 from hdt_core.tables.base import UTC
 
 NEW_UNIT = ("REPLACED",)
@@ -85,7 +84,6 @@ def first_flights(
     ).drop_nulls("departed_at")
 
 
-Flags = npt.NDArray[Any]
 LOG_WINDOW = pl.duration(days=1)
 NOTHING, WASH, REPLACEMENT = range(3)
 RENEWALS = ("REPLACED", "CLEANED")
@@ -93,7 +91,7 @@ RENEWALS = ("REPLACED", "CLEANED")
 
 def log_flags(
     flights: pl.DataFrame, maintenance: pl.DataFrame, component: str, actions: Sequence[str] = RENEWALS
-) -> tuple[Flags, Flags]:
+) -> tuple[Array, Array]:
     """Flag a component's log entries: on flights within a day of an entry's moment (open), and on the first flight that
     counts as flown after it (due); the moment is that of `records.unit_index`.
 
@@ -110,7 +108,7 @@ def log_flags(
     return _flags(near, flights.height), _flags(due, flights.height)
 
 
-def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Flags:
+def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Array:
     """Flag flights after the first log entry within the aircraft's record, for any part: before it the lack of an entry
     means nothing, since some operators send no log. (n,) bool"""
     begins = flights.group_by(AIRCRAFT).agg(pl.col("departed_at").min().alias("begins"))
@@ -124,8 +122,8 @@ def log_kept(flights: pl.DataFrame, maintenance: pl.DataFrame) -> Flags:
     return rows.select((pl.col("departed_at") >= pl.col("counts_from")).fill_null(False))[:, 0].to_numpy()
 
 
-def _flags(entries: pl.DataFrame, n: int) -> Flags:
-    flags: Flags = np.full(n, NOTHING)
+def _flags(entries: pl.DataFrame, n: int) -> Array:
+    flags: Array = np.full(n, NOTHING)
     kind = np.where(entries["action"].to_numpy() == "REPLACED", REPLACEMENT, WASH)
     np.maximum.at(flags, entries["row"].to_numpy(), kind)
     return flags

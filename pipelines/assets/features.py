@@ -66,15 +66,11 @@ def features(
 
 @stage
 def features_alerts(
-    features: pl.DataFrame,
-    twin_health: pl.DataFrame,
-    features_components: pl.DataFrame,
-    raw_maintenance: pl.DataFrame,
-    home: Home,
+    features: pl.DataFrame, features_components: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
 ) -> pl.DataFrame:
     """Raise alerts: which loss grew, since when, what else could explain it, what to do."""
     limits = alert_limits(Path(home.home))
-    alerts = raise_alerts(features, twin_health, raw_maintenance, limits)
+    alerts = raise_alerts(features, raw_maintenance, limits)
     inputs = (features_components, raw_maintenance)
     others = (raise_component_alerts(*inputs, c, limits) for c in recorded_in(features_components))
     return conform_all("features_alerts", [alerts, *others])

@@ -4,20 +4,14 @@ import polars as pl
 
 from hdt_core.flight.admission import NominalBaseline, admit
 from hdt_core.flight.legs import judge_legs, reject_odd_bleed
-from hdt_core.tables.raw import RawMaintenance, RawMessages
 from pipelines.assets.calibration import LEGS, laws_of
 from pipelines.assets.stage import stage
 
 
 @stage
 def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Classify each leg by its own record alone: phase, completeness, range, steady state.
-
-    Logs are considered in `legs_admitted`.
-    """
-    verdicts, samples = judge_legs(
-        pl.concat([raw_snapshots, raw_logs]), RawMaintenance.create_empty(), RawMessages.create_empty()
-    )
+    """Classify each leg by its own record alone: phase, completeness, range, steady state."""
+    verdicts, samples = judge_legs(pl.concat([raw_snapshots, raw_logs]))
     return samples, verdicts
 
 

@@ -36,15 +36,15 @@ def thresholds(home: Path) -> list[Row]:
     with connect(home) as con:
         names = sorted({t for _, sql in definitions for t in re.findall(r"\btables\.(\w+)", sql)})
         tables = {t: con.sql(f"select * from tables.{t}").to_arrow_table() for t in names}
-        inputs = ("features", "twin_health", "raw_maintenance")
-        features, health, maintenance = (con.sql(f"select * from tables.{t}").pl() for t in inputs)
+        inputs = ("features", "raw_maintenance")
+        features, maintenance = (con.sql(f"select * from tables.{t}").pl() for t in inputs)
     with duckdb.connect() as copy:
         copy.execute("set TimeZone = 'UTC'; create schema tables")
         for name, rows in tables.items():
             _replace(copy, name, rows)
         for _, sql in definitions:
             copy.execute(sql)
-        return [_outcome(copy, t) for t in trials(features, health, maintenance, alert_limits(home))]
+        return [_outcome(copy, t) for t in trials(features, maintenance, alert_limits(home))]
 
 
 def _outcome(con: duckdb.DuckDBPyConnection, t: Trial) -> Row:

@@ -52,7 +52,7 @@ def recorded(store):
 
 def chain(raw, dsm, norm, laws) -> dict[str, pl.DataFrame]:
     """Every table that is made of recorded rows."""
-    verdicts, samples = judge_legs(raw, NO_WORK, NO_MESSAGES)
+    verdicts, samples = judge_legs(raw)
     signs, checks = leg_indicators(samples, norm), cross_checks(samples, laws)
     flights = estimate_flights(samples, dsm)
     apart = residuals(samples, flights, dsm)
@@ -69,7 +69,7 @@ def chain(raw, dsm, norm, laws) -> dict[str, pl.DataFrame]:
         "twin_checkpoints": chapters,
         "legs_admitted": admit(norm, verdicts, signs, NO_WORK, NO_MESSAGES, health),
         "features": described,
-        "features_alerts": raise_alerts(described, health, NO_WORK),
+        "features_alerts": raise_alerts(described, NO_WORK),
     }
 
 

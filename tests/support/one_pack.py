@@ -70,6 +70,6 @@ def work_before(first: int, log_of: str = "HX", action: str = "REPLACED") -> pl.
 
 
 def alerts(rows: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    out = raise_alerts(rows, pl.DataFrame(), maintenance)
+    out = raise_alerts(rows, maintenance)
     assert FeaturesAlerts.faults(out) == []
     return out

@@ -119,7 +119,7 @@ def three_packs() -> pl.DataFrame:
 
 def test_the_limit_in_service_says_what_was_said_and_a_lower_one_hears_of_more_and_earlier() -> None:
     rows = three_packs()
-    in_service = {t.diagnosis: t.alerts for t in trials(rows, pl.DataFrame(), NOTHING) if t.in_service}
+    in_service = {t.diagnosis: t.alerts for t in trials(rows, NOTHING) if t.in_service}
     assert set(in_service) == set(VALUES)
     assert [values for _, values in VALUES.values()] == [
         (0.10, 0.125, 0.15, 0.20, 0.25), (0.07, 0.10, 0.15, 0.20), (0.70, 0.80, 0.90, 0.95, 0.98),
@@ -127,7 +127,7 @@ def test_the_limit_in_service_says_what_was_said_and_a_lower_one_hears_of_more_a
     ]  # fmt: skip
     for diagnosis in set(VALUES) - {"RAM_DOOR_FAULT"}:
         assert in_service[diagnosis].sort("alert_id").equals(alerts(rows, NOTHING).sort("alert_id"))
-    limits = [t for t in trials(three_packs(), pl.DataFrame(), NOTHING) if t.diagnosis == "HX_FOULING"]
+    limits = [t for t in trials(three_packs(), NOTHING) if t.diagnosis == "HX_FOULING"]
     assert [t.value for t in limits] == sorted(t.value for t in limits)
     packs = [set(t.alerts["tail"]) for t in limits]
     assert all(later <= earlier for earlier, later in pairwise(packs))

@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.alerts.alerts import raise_alerts, with_health
+from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.alerts.cases import Case, Limits
 from hdt_core.alerts.sensor_faults import may_feign_wear
 from hdt_core.health.features import features
@@ -34,7 +34,7 @@ def alerts_of(samples: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataF
     legs = health.select("operator", "tail", "flight_id", "pack", "departed_at")
     checks = cross_checks(samples)
     out = features(health, Residuals.create_empty(), legs, maintenance, cross_checks=checks)
-    return raise_alerts(out, health, maintenance, **kw)
+    return raise_alerts(out, maintenance, **kw)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_a_sound_aircraft_a_column_never_recorded_and_no_flights_raise_nothing(s
     )
     assert alerts_of(without, track(without, {}), nothing_done).height == 0
     none = samples.clear()
-    out = raise_alerts(pl.DataFrame(schema=track(samples, {}).schema), track(samples, {}).clear(), nothing_done)
+    out = raise_alerts(pl.DataFrame(schema=track(samples, {}).schema), nothing_done)
     assert out.height == 0
     assert cross_checks(none).height == 0
 
@@ -217,18 +217,6 @@ def test_nothing_leaks_from_the_future(samples, nothing_done) -> None:
         assert part["evidence"].to_list() == then["evidence"].to_list()
 
 
-def test_health_that_the_features_lack_is_taken_from_the_long_form(samples):
-    long = track(samples, {1: np.full(FLIGHTS, 0.3)})
-    bare = long.select("operator", "tail", "flight_id", "pack", "departed_at")
-    filled = with_health(bare, long)
-    assert filled["hx_fouling"].to_list() == long["value"].to_list()
-    assert set(filled["hx_fouling_sd"]) == {0.01}
-    filled_loss = with_health(bare.with_columns(hx_fouling=pl.lit(0.1)), long)
-    assert set(filled_loss["hx_fouling"]) == {0.1}
-    assert "hx_fouling_sd" not in filled_loss.columns
-    assert with_health(bare, pl.DataFrame()).equals(bare)
-
-
 def test_a_door_at_its_lower_stop_is_not_jammed(samples, nothing_done) -> None:
     """Types differ in where the door rests: at 12 % it does so in cold air, from climb to descent."""
     noise = 0.005 * (pl.int_range(pl.len()) % 3 - 1)
@@ -290,7 +278,7 @@ def test_the_models_cross_checks_tell_inlet_and_door_from_a_blockage(samples, no
         ).alias(name)
         for name, sd in noise.items()
     ]
-    out = raise_alerts(rows.with_columns(checks), health, nothing_done)
+    out = raise_alerts(rows.with_columns(checks), nothing_done)
     named = out.filter(diagnosis="SENSOR_FAULT")
     if sensor is None:
         assert named.height == 0

@@ -41,7 +41,6 @@ LOG = pl.DataFrame(
         "action": pl.String,
     }
 )  # fmt: skip
-HEALTH = pl.DataFrame()
 
 
 def hx(alerts: pl.DataFrame) -> list[str]:
@@ -49,7 +48,7 @@ def hx(alerts: pl.DataFrame) -> list[str]:
 
 
 def test_little_reserve_on_a_sound_exchanger_is_its_own_diagnosis_and_a_worn_one_is_called_worn():
-    cases = raise_alerts(fleet(0.97, 0.04), HEALTH, LOG)
+    cases = raise_alerts(fleet(0.97, 0.04), LOG)
     assert hx(cases) == ["HX_LOW_MARGIN"]
     row = cases.row(0, named=True)
     assert "2 K above its level" in row["evidence"]
@@ -57,7 +56,7 @@ def test_little_reserve_on_a_sound_exchanger_is_its_own_diagnosis_and_a_worn_one
     assert "air outside -8 K" in row["evidence"]
     assert "Not a new exchanger alone" in row["recommended_action"]
     assert row["closed_at"] is None
-    assert hx(raise_alerts(fleet(0.97, 0.25), HEALTH, LOG)) == ["HX_FOULING"]
+    assert hx(raise_alerts(fleet(0.97, 0.25), LOG)) == ["HX_FOULING"]
 
 
 def test_it_ends_with_the_unit():
@@ -74,7 +73,7 @@ def test_it_ends_with_the_unit():
         },
         schema=LOG.schema,
     )
-    cases = raise_alerts(flights, HEALTH, log).filter(diagnosis="HX_LOW_MARGIN").sort("raised_at")
+    cases = raise_alerts(flights, log).filter(diagnosis="HX_LOW_MARGIN").sort("raised_at")
     assert cases["closed_at"][0] is not None
     assert cases["closed_at"][0].date() > done
     # the next unit has as little reserve, and its message may come within twenty flights

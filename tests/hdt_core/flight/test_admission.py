@@ -25,7 +25,7 @@ KEY = ["tail", "flight_id", "pack"]
 
 @pytest.fixture(scope="module")
 def level_one(fleet):
-    legs, samples = judge_legs(fleet.snapshots, fleet.maintenance.clear(), fleet.messages.clear())
+    legs, samples = judge_legs(fleet.snapshots)
     return number_flights(legs), samples
 
 
@@ -39,6 +39,8 @@ def test_no_leg_is_lost_first_verdicts_stand_and_sick_flights_stay_out(level_one
     assert set(admitted["reason"]) <= {"", *REASONS, *SECOND_LEVEL}
     assert (admitted["admitted"] == (admitted["reason"] == "")).all()
     assert admitted.columns == level_one[0].columns
+    assert admitted["admitted"].sum() < level_one[0]["admitted"].sum()
+    assert {"MAINTENANCE", "MESSAGE"} <= set(admitted["reason"])
     turned = level_one[0].with_row_index().filter(pl.col("reason") != "")
     assert admitted["reason"].gather(turned["index"]).to_list() == turned["reason"].to_list()
     arrived = fleet.truth.filter("arrived").join(admitted.select(*KEY, "admitted"), on=KEY, how="left")

@@ -20,13 +20,8 @@ def one_tail(fleet):
 
 
 @pytest.fixture(scope="module")
-def no_log(fleet):
-    return fleet.maintenance.clear(), fleet.messages.clear()
-
-
-@pytest.fixture(scope="module")
-def legs_and_samples(one_tail, no_log):
-    return judge_legs(one_tail, *no_log)
+def legs_and_samples(one_tail):
+    return judge_legs(one_tail)
 
 
 def test_every_flight_and_pack_is_judged_once_and_nominal_samples_are_of_admitted_legs(one_tail, legs_and_samples):
@@ -48,28 +43,20 @@ def test_every_flight_and_pack_is_judged_once_and_nominal_samples_are_of_admitte
     assert (samples.filter(pl.col("source") == "acms")["n_averaged"] == 1).all()
 
 
-def test_order_repetition_and_other_flights_change_no_verdict(one_tail, no_log, legs_and_samples):
+def test_order_repetition_and_other_flights_change_no_verdict(one_tail, legs_and_samples):
     shuffled = pl.concat([one_tail, one_tail.head(500)]).sample(fraction=1.0, shuffle=True, seed=5)
-    legs, samples = judge_legs(shuffled, *no_log)
+    legs, samples = judge_legs(shuffled)
     assert legs.equals(legs_and_samples[0])
     assert samples.height == legs_and_samples[1].height
     flight = one_tail["flight_id"].unique().sort()[20]
-    alone, _ = judge_legs(one_tail.filter(pl.col("flight_id") == flight), *no_log)
+    alone, _ = judge_legs(one_tail.filter(pl.col("flight_id") == flight))
     among = legs_and_samples[0].filter(pl.col("flight_id") == flight)
     same = ["n_samples", "n_nominal", "departed_at", "reason"]
     assert alone.select(same).equals(among.select(same))
-    legs, samples = judge_legs(one_tail.clear(), *no_log)
+    legs, samples = judge_legs(one_tail.clear())
     assert legs.is_empty()
     assert samples.is_empty()
     assert {"admitted", "reason", "n_nominal", "cruise_minutes"} <= set(legs.columns)
-
-
-def test_log_and_messages_move_the_verdict_but_never_what_is_monitored(fleet):
-    quiet = judge_legs(fleet.snapshots, fleet.maintenance.clear(), fleet.messages.clear())
-    logged = judge_legs(fleet.snapshots, fleet.maintenance, fleet.messages)
-    assert quiet[1]["monitored"].equals(logged[1]["monitored"])
-    assert logged[0]["admitted"].sum() < quiet[0]["admitted"].sum()
-    assert {"MAINTENANCE", "MESSAGE"} <= set(logged[0]["reason"])
 
 
 def _altered(rows: pl.DataFrame, pack: int, **new: pl.Expr) -> pl.DataFrame:
@@ -90,21 +77,16 @@ def _altered(rows: pl.DataFrame, pack: int, **new: pl.Expr) -> pl.DataFrame:
     ],
     ids=["frozen", "dropout", "pack off", "door still", "no cruise"],
 )
-def test_planted_fault_is_given_its_reason(one_tail, no_log, legs_and_samples, new, reason):
+def test_planted_fault_is_given_its_reason(one_tail, legs_and_samples, new, reason):
     sound = legs_and_samples[0].filter(pl.col("admitted").all().over("flight_id") & (pl.col("source") == "acms"))
     flight = sound["flight_id"][10]
     sick = _altered(one_tail.filter(pl.col("flight_id") == flight), 2, **new)
     rest = one_tail.filter(pl.col("flight_id") != flight)
-    legs, _ = judge_legs(pl.concat([rest, sick]), *no_log)
+    legs, _ = judge_legs(pl.concat([rest, sick]))
     mine = legs.filter((pl.col("flight_id") == flight) & (pl.col("pack") == 2))
     assert mine["reason"].to_list() == [reason]
 
 
-TEXT = dict.fromkeys(("operator", "tail", "component", "action", "code"), pl.String)
-NO_LOG = (
-    pl.DataFrame(schema=TEXT | {"pack": pl.Int32, "done_on": pl.Date}),
-    pl.DataFrame(schema=TEXT | {"pack": pl.Int32, "message_time": pl.Datetime("us", "UTC")}),
-)
 FLOWN = {
     "altitude_m": 11_000.0, "mach": 0.82, "tat_k": 250.0, "total_pressure_pa": 35_000.0, "hx_in_k": 405.0,
     "hx_out_k": 296.0, "ram_door_open": 0.3, "pack_flow_kg_s": 0.77, "ram_out_k": 335.0, "cc_speed_rad_s": 3_600.0,
@@ -126,7 +108,7 @@ def leg(pack: int = 1, rows: int = 12, **changed: object) -> pl.DataFrame:
 
 
 def reasons(*packs: pl.DataFrame) -> list[str]:
-    return judge_legs(pl.concat(packs), *NO_LOG)[0].sort("pack")["reason"].to_list()
+    return judge_legs(pl.concat(packs))[0].sort("pack")["reason"].to_list()
 
 
 def some(value: float, n: int, rest: float, rows: int = 12) -> list[float]:
@@ -134,7 +116,7 @@ def some(value: float, n: int, rest: float, rows: int = 12) -> list[float]:
 
 
 def test_a_sound_cruise_is_admitted_with_its_figures_from_two_nominal_samples_on():
-    legs, samples = judge_legs(leg(), *NO_LOG)
+    legs, samples = judge_legs(leg())
     row = legs.row(0, named=True)
     assert (row["reason"], row["admitted"], row["source"]) == ("", True, "acms")
     assert (row["n_samples"], row["n_snapshots"], row["n_monitored"], row["n_nominal"]) == (12, 12, 12, 12)

@@ -129,6 +129,6 @@ def test_only_a_running_pack_in_cruise_teaches_the_delivery():
     ):  # fmt: skip
         learned = learn_schedules(pl.concat([samples.head(260), changed])).delivery
         assert learned == learn_schedules(samples.head(260)).delivery
-    without = learn_schedules(samples.drop("cc_speed_rad_s"))
+    without = learn_schedules(samples.with_columns(cc_speed_rad_s=pl.lit(None, pl.Float64)))
     assert without.speed == SpeedLimit()
     assert without.delivery == learn_schedules(samples).delivery
