@@ -1,4 +1,6 @@
-"""Alerts of a fleet: all cases as rows of the catalog, also with one limit higher or lower."""
+"""Alerts of a fleet: all cases as rows of the catalog, also with one limit higher or lower, and those of declared
+components: one loss, its trend, and whether it exceeds the limit to plan for.
+"""
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
@@ -7,19 +9,21 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from hdt_core.alerts import phrases
 from hdt_core.alerts.case_closure import apply_inspections, close_after_work
-from hdt_core.alerts.cases import REPAIR, Case, Limits, case_id, open_flights
+from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, case_id, open_flights, runs
 from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis
-from hdt_core.alerts.door_faults import door_cases
-from hdt_core.alerts.grid import Grid
-from hdt_core.alerts.sensor_faults import may_feign_wear, outlet_doubtful, sensor_cases
-from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases
+from hdt_core.alerts.disturbances import Disturbances, door_cases, find_disturbances
+from hdt_core.alerts.evidence import HIGH_SEVERITY_SHARE, declared_loss
+from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases, odds_above
+from hdt_core.components import Component
+from hdt_core.health.detection import persistent
+from hdt_core.health.features import features
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import NEW_UNIT, select_entries
-from hdt_core.robust import Array
 
 REPEAT_DAYS = 90
 """Days within which units of one position are counted."""
@@ -78,40 +82,6 @@ def alert_rows(
     rows = [_alert_row(grid, replacements, case, diagnoses[case.diagnosis]) for case in cases]
     alerts = pl.DataFrame(rows, schema=SCHEMA, orient="row").unique("alert_id", keep="first", maintain_order=True)
     return alerts.sort("raised_at", "tail", "pack", "alert_id")
-
-
-@dataclass(frozen=True, slots=True)
-class Disturbances:
-    """Cases of doors and sensors, and where they cast doubt on wear. Flags are (units, flights) bool.
-
-    `sensor_faulty`: a sensor case is open. `outlet_doubtful`: the outlet temperature is unreliable. `wear_feigned`: a
-    biased sensor may look like wear. `wear_doubtful`: either, or any biased sensor.
-    """
-
-    cases: list[Case]
-    sensor_faulty: Array
-    outlet_doubtful: Array
-    wear_feigned: Array
-    wear_doubtful: Array
-
-
-def find_disturbances(grid: Grid, maintenance: pl.DataFrame, limits: Limits) -> Disturbances:
-    """Find door and sensor cases, and the flights on which they cast doubt on wear."""
-    doors = door_cases(grid, maintenance, limits)
-    door_faulty = open_flights(grid.shape, doors)
-    door_stuck = open_flights(grid.shape, [c for c in doors if c.facts["kind"] == "jam"])
-    sensors = sensor_cases(grid, maintenance, limits, door_faulty, door_stuck)
-    biases = [c for c in sensors if c.facts.get("biased")]
-    # outlets that differ cast no doubt once a sensor or door explains the difference
-    is_explained = door_faulty | open_flights(grid.shape, [c for c in biases if c.facts["sensor"] == "hx_out_k"])
-    doubtful = door_faulty | (outlet_doubtful(grid) & ~is_explained & ~grid.across(is_explained))
-    return Disturbances(
-        cases=doors + sensors,
-        sensor_faulty=open_flights(grid.shape, sensors),
-        outlet_doubtful=doubtful,
-        wear_feigned=open_flights(grid.shape, [c for c in biases if may_feign_wear(c)]),
-        wear_doubtful=doubtful | open_flights(grid.shape, biases),
-    )
 
 
 def wear_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, disturbances: Disturbances) -> list[Case]:
@@ -214,3 +184,81 @@ def trials(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | N
                 cases = [*map(copy, disturbances.cases), *wear_cases(grid, maintenance, new_limits, disturbances)]
             alerts = as_alerts(grid, maintenance, cases, new_limits)
             yield Trial(diagnosis, name, value, value == getattr(limits, name), alerts)
+
+
+KEYS = ["operator", "tail", "flight_id", "pack", "departed_at", "flight_index", "flights_seen_of_unit"]
+TRENDS = ("sd", "status", "slope_10_per_flight", "slope_30_per_flight", "slope_100_per_flight", "jump_10", "step_3")
+"""Columns of the loss beside its value, each prefixed with the loss's name."""
+
+
+def component_features(
+    health: pl.DataFrame, residuals: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, component: Component
+) -> pl.DataFrame:
+    """Return one row a flight and pack: the loss under the name `loss`, with its trends.
+
+    Parameters
+    ----------
+    health, residuals, legs : DataFrame
+        Of all components; those of this one are taken.
+    """
+    own = pl.col("component") == component.code
+    columns = features(
+        health.filter(own), residuals.filter(own), legs.filter(own), maintenance, health=[component.loss]
+    )
+    trends = [pl.col(f"{component.loss}_{t}").alias(f"loss_{t}") for t in TRENDS if f"{component.loss}_{t}" in columns]
+    loss = pl.col(component.loss).alias("loss") if component.loss in columns.columns else pl.lit(None).alias("loss")
+    return columns.select(*KEYS, pl.lit(component.code).alias("component"), loss, *trends)
+
+
+def diagnosis_of(component: Component, limits: Limits) -> Diagnosis:
+    """Return the diagnosis of a worn component, with the texts of its declaration."""
+    return Diagnosis(
+        code=component.diagnosis,
+        component=component.code,
+        name=f"{component.name} worn",
+        action=component.action,
+        ended_by=component.ended_by,
+        severity=lambda facts: "high" if facts["loss"] > HIGH_SEVERITY_SHARE * component.limit.mean else "medium",
+        evidence=lambda facts, since: declared_loss(component, limits, facts, since),
+        features=("loss", "loss_sd", "loss_slope_30_per_flight", "loss_step_3"),
+    )
+
+
+def raise_component_alerts(
+    features: pl.DataFrame, maintenance: pl.DataFrame, component: Component, limits: Limits
+) -> pl.DataFrame:
+    """Raise the alerts of one component, one row a case, in the columns of the catalog's `alerts`.
+
+    Parameters
+    ----------
+    features : DataFrame
+        Of `component_features`.
+    maintenance : DataFrame
+        Work on the component ends its cases.
+    """
+    own = features.filter(pl.col("component") == component.code)
+    if own.is_empty():
+        return pl.DataFrame(schema=SCHEMA)
+    grid, diagnosis = Grid.from_frame(own), diagnosis_of(component, limits)
+    cases = _wear_cases(grid, maintenance, component, limits)
+    cases = close_after_work(grid, maintenance, cases, [diagnosis])
+    return alert_rows(grid, maintenance, cases, {diagnosis.code: diagnosis})
+
+
+def _wear_cases(grid: Grid, maintenance: pl.DataFrame, component: Component, limits: Limits) -> list[Case]:
+    """Find losses above their limit with enough probability on most recent flights, until long below it."""
+    restart = grid.worked_on(maintenance, (component.code,), component.ended_by)
+    loss, sd = grid.values("loss"), grid.values("loss_sd")
+    sure = grid.as_observed(odds_above(loss, sd, component.warn_loss) > limits.fouling_odds, "loss", restart)
+    keep = np.nan_to_num(loss) > limits.fouling_keep * component.warn_loss
+    on = persistent(sure, *limits.wear_persistence, keep=keep, restart=restart)
+    return [
+        Case(unit, component.code, component.diagnosis, first, end, {"since": _first_flagged(sure[unit], first)})
+        for unit, first, end in runs(on, restart)
+    ]
+
+
+def _first_flagged(sure: np.ndarray, first: int) -> int:
+    """Return the first flagged of the last four flights up to `first`."""
+    recent = np.flatnonzero(sure[max(first - 3, 0) : first + 1])
+    return int(max(first - 3, 0) + recent[0]) if recent.size else first

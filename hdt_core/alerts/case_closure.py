@@ -10,9 +10,8 @@ from datetime import datetime
 import numpy as np
 import polars as pl
 
-from hdt_core.alerts.cases import Case, Limits, case_id, fact_after, runs
+from hdt_core.alerts.cases import Case, Grid, Limits, case_id, fact_after, runs
 from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis
-from hdt_core.alerts.grid import Grid
 from hdt_core.alerts.wear import RISE_MARGIN
 from hdt_core.health.detection import persistent
 from hdt_core.records.keys import PACK

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdt_core.alerts import evidence
-from hdt_core.alerts.cases import REPAIR, Case
+from hdt_core.alerts.cases import REPAIR, Case, Grid
 from hdt_core.alerts.evidence import Evidence, Facts
-from hdt_core.alerts.grid import Grid
 from hdt_core.components.pack import CC, HX
 
 

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 from scipy.special import ndtr
 
 from hdt_core.alerts import phrases
-from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, WEAR_LIMIT
+from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, WEAR_LIMIT, Limits
+from hdt_core.components import Component
 from hdt_core.robust import Z_90
 
 SUPPORTS, NEUTRAL, AGAINST = ROLES = ("Supports", "Neutral", "Against")
@@ -61,6 +62,8 @@ FULL_OPEN_SHARE = 0.05
 """Share of cruise with the door full open that a sound pack shows on one flight in a hundred. [-]"""
 DOOR_DIFFERENCE, LOSS_DIFFERENCE, RAM_FLOW_LOSS = 0.03, 0.05, 0.04
 """Differences beyond chance between packs of one aircraft, and against a clean duct: three standard deviations. [-]"""
+HIGH_SEVERITY_SHARE = 0.8
+"""Loss from which severity is high, as a share of the loss at which the component fails. [-]"""
 
 
 def exchanger_severity(facts: Facts) -> str:
@@ -294,3 +297,14 @@ def _contradiction(facts: Facts, since: str) -> Evidence:
 def _amount(check: str, shift: float) -> str:
     """Format the shift of a check: in K, or for a logarithm in per cent."""
     return f"{shift:+.2f} K" if check.endswith("_k") else f"{100.0 * shift:+.1f} %"
+
+
+def declared_loss(component: Component, limits: Limits, facts: Facts, since: str) -> Evidence:
+    """Return the evidence of a declared component's wear, with the texts of the component's declaration."""
+    loss, sd, slope = facts["loss"], facts["loss_sd"], facts["loss_slope_30_per_flight"]
+    lost, name = component.lost, component.loss
+    finding = loss_finding(phrases.UNIT_LOST, loss, sd, component.warn_loss, since, lost=lost, name=name)
+    fails = phrases.UNIT_FAILS.format(loss=within(component.limit.mean, component.limit.unit_sd))
+    near = Corroboration(SUPPORTS if loss > HIGH_SEVERITY_SHARE * component.limit.mean else NEUTRAL, fails)
+    sudden = graded(facts["loss_step_3"], (limits.clog, NEUTRAL, phrases.UNIT_STEP))
+    return Evidence("; ".join([finding, *trend(slope)]), (near, *sudden), component.otherwise, component.waiting)

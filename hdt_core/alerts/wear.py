@@ -4,8 +4,7 @@ import numpy as np
 import polars as pl
 from scipy.special import ndtr
 
-from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, REPAIR, WEAR_LIMIT, Case, Limits, fact_after, runs
-from hdt_core.alerts.grid import Grid
+from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, REPAIR, WEAR_LIMIT, Case, Grid, Limits, fact_after, runs
 from hdt_core.components.pack import CC, HX
 from hdt_core.health.detection import Cusum, lingering, persistent, since, watch
 from hdt_core.robust import Array

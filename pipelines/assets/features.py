@@ -5,8 +5,7 @@ from pathlib import Path
 
 import polars as pl
 
-from hdt_core.alerts.alerts import raise_alerts
-from hdt_core.alerts.component_alerts import component_features, raise_component_alerts
+from hdt_core.alerts.alerts import component_features, raise_alerts, raise_component_alerts
 from hdt_core.flight.admission import NominalBaseline, leg_indicators
 from hdt_core.flight.control_schedules import ControlSchedules
 from hdt_core.health.features import features as describe

@@ -8,7 +8,7 @@ from answers import CHECKS, rows
 from scipy.stats import binomtest
 from small_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
 
-from hdt_core.alerts.grid import UNOBSERVED
+from hdt_core.alerts.cases import UNOBSERVED
 from hdt_core.records.unit_index import UTC, date_entries, number_units
 from pipelines.report.facts import OUTLOOKS
 from pipelines.storage.publication import views

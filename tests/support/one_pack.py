@@ -6,8 +6,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.alerts.alerts import raise_alerts
-from hdt_core.alerts.cases import Case
-from hdt_core.alerts.grid import Grid
+from hdt_core.alerts.cases import Case, Grid
 from hdt_core.tables.features import FeaturesAlerts
 
 FLIGHTS, A_DAY = 100, 4

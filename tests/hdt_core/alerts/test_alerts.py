@@ -9,7 +9,7 @@ import pytest
 
 from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.alerts.cases import Case, Limits
-from hdt_core.alerts.sensor_faults import may_feign_wear
+from hdt_core.alerts.disturbances import may_feign_wear
 from hdt_core.health.features import features
 from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.tables.features import FeaturesAlerts

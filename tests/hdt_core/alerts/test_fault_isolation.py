@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 
 from hdt_core.alerts import fault_isolation
+from hdt_core.alerts.cases import Grid
 from hdt_core.alerts.fault_isolation import (
     CHANNELS,
     HX_STEP,
@@ -18,7 +19,6 @@ from hdt_core.alerts.fault_isolation import (
     classify,
     signatures,
 )
-from hdt_core.alerts.grid import Grid
 from hdt_core.health.detection import Shift, watch
 
 

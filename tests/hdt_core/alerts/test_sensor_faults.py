@@ -5,12 +5,10 @@ import polars as pl
 import pytest
 from one_pack import FLIGHTS, departure, grid, spans, work, work_before
 
-from hdt_core.alerts import sensor_faults
-from hdt_core.alerts.cases import Case, Limits
-from hdt_core.alerts.door_faults import door_cases
+from hdt_core.alerts import disturbances
+from hdt_core.alerts.cases import Case, Grid, Limits
+from hdt_core.alerts.disturbances import door_cases, outlet_doubtful, sensor_cases
 from hdt_core.alerts.fault_isolation import CHANNELS, Indications
-from hdt_core.alerts.grid import Grid
-from hdt_core.alerts.sensor_faults import outlet_doubtful, sensor_cases
 from hdt_core.health.detection import Shift, watch
 
 FLIGHT = np.arange(FLIGHTS)
@@ -139,8 +137,8 @@ def case(raised: int, closed: int | None = None, unit: int = 0, sensor: str = "m
     ],
 )  # fmt: skip
 def test_a_shift_within_twelve_flights_of_a_silence_is_its_echo(shift: Case, echo: bool) -> None:
-    assert sensor_faults._repeats(shift, [case(50, 50)]) is echo
-    assert sensor_faults._repeats(case(90), [case(50)])
+    assert disturbances._repeats(shift, [case(50, 50)]) is echo
+    assert disturbances._repeats(case(90), [case(50)])
 
 
 def one_each(*cases: Case) -> list[tuple[int, str, int, int | None]]:
@@ -149,7 +147,7 @@ def one_each(*cases: Case) -> list[tuple[int, str, int, int | None]]:
     evidence = Indications(grid, Shift(z > 0, z, z, z, z), np.zeros((2, FLIGHTS)), grid.partner())
     return [
         (c.unit, c.facts["sensor"], c.raised_flight, c.closed_flight)
-        for c in sensor_faults._merge_cases(list(cases), evidence)
+        for c in disturbances._merge_cases(list(cases), evidence)
     ]
 
 
@@ -180,7 +178,7 @@ def test_of_two_names_within_twelve_flights_the_surer_stands_and_the_same_one_ca
 )  # fmt: skip
 def test_what_is_another_units_starts_anew_with_it(monkeypatch, component: str, column: str, hushed: bool) -> None:
     calls = []
-    monkeypatch.setattr(sensor_faults, "watch", lambda values, sd, new: calls.append(new) or watch(values, sd, new))
+    monkeypatch.setattr(disturbances, "watch", lambda values, sd, new: calls.append(new) or watch(values, sd, new))
     mach_cases(work_before(50, component), **checks())
     new = calls[0][0, :, [c.name for c in CHANNELS].index(column)]
     assert new.nonzero()[0].tolist() == [50] * hushed
@@ -188,7 +186,7 @@ def test_what_is_another_units_starts_anew_with_it(monkeypatch, component: str, 
 
 def test_doors_and_silent_sensors_are_no_evidence(monkeypatch) -> None:
     calls = []
-    monkeypatch.setattr(sensor_faults, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
+    monkeypatch.setattr(disturbances, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
     columns = checks() | {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40}
     columns |= {"cc_in_k_lost_share": empty(0.9)}
     door, jam = QUIET.copy(), QUIET.copy()
@@ -207,7 +205,7 @@ def test_doors_and_silent_sensors_are_no_evidence(monkeypatch) -> None:
 
 def test_a_silent_sensor_of_the_other_pack_hushes_the_checks_between_them_alone(monkeypatch) -> None:
     calls = []
-    monkeypatch.setattr(sensor_faults, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
+    monkeypatch.setattr(disturbances, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
     columns = {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40, "tat_k_lost_share": 0.0}
     none = np.zeros((2, FLIGHTS), dtype=bool)
     sensor_cases(both(columns | {"tat_k_lost_share": empty(0.9)}, **columns), NOTHING, Limits(), none, none)

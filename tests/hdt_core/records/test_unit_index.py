@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hdt_core.alerts.grid import Grid
+from hdt_core.alerts.cases import Grid
 from hdt_core.health.features import since_maintenance
 from hdt_core.prognosis.unit_lives import episodes
 from hdt_core.records.unit_index import REPLACEMENT, date_entries, first_flights, log_flags, number_units
