@@ -27,7 +27,7 @@ from dagster._core.storage.partition_status_cache import get_and_update_asset_st
 
 from benchmarks.harness import Texts, machine, markdown, run
 from benchmarks.scale import PAGE
-from pipelines import partitions
+from pipelines import resources
 from pipelines.orchestration.batches import CELLS_A_RUN, PartitionBatch
 from pipelines.orchestration.runs import BY, Runner, open_instance
 from pipelines.resources import report
@@ -60,7 +60,7 @@ class Nothing(dg.IOManager):
 
     def handle_output(self, context: dg.OutputContext, obj: object) -> None:
         """Every cell of the range is filled."""
-        rows = [*partitions.cells_of(tuple(context.asset_partition_keys))]
+        rows = [*resources.cells_of(tuple(context.asset_partition_keys))]
         cells = pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
         report(context, cells, cells)
 
@@ -68,7 +68,7 @@ class Nothing(dg.IOManager):
         """Nothing is there."""
 
 
-@dg.asset(partitions_def=partitions.AIRCRAFT_FLIGHTS, backfill_policy=dg.BackfillPolicy.single_run())
+@dg.asset(partitions_def=resources.AIRCRAFT_FLIGHTS, backfill_policy=dg.BackfillPolicy.single_run())
 def empty() -> int:
     """An asset without data; something must be returned, or no IO manager is asked."""
     return 0
@@ -110,7 +110,7 @@ class History:
 
     def _record(self, event: EventLogEntry, batch: PartitionBatch) -> None:
         """Store the event as if a run had made the batch."""
-        keys = partitions.cell_keys(batch.cells)
+        keys = resources.cell_keys(batch.cells)
         materialization = dg.AssetMaterialization(
             "empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0])
         )
@@ -127,11 +127,11 @@ class History:
 
     def row(self) -> dict[str, float]:
         """Measure run time, storage per cell and response time of the partitions page."""
-        loader = {"partitions_def": partitions.AIRCRAFT_FLIGHTS, "dynamic_partitions_loader": self.instance}
+        loader = {"partitions_def": resources.AIRCRAFT_FLIGHTS, "dynamic_partitions_loader": self.instance}
 
         def status() -> None:
             status_cache = get_and_update_asset_status_cache_value(self.instance, empty.key, **loader)
-            subset = status_cache.deserialize_materialized_partition_subsets(partitions.AIRCRAFT_FLIGHTS)
+            subset = status_cache.deserialize_materialized_partition_subsets(resources.AIRCRAFT_FLIGHTS)
             assert len(subset) == self.filled, len(subset)
 
         first = self._timed(status)
@@ -147,7 +147,7 @@ class History:
 
 def aircraft(n: int) -> str:
     """Key of an aircraft."""
-    return partitions.aircraft_key("QAA", f"T{n:04}")
+    return resources.aircraft_key("QAA", f"T{n:04}")
 
 
 @contextmanager

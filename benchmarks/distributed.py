@@ -21,7 +21,7 @@ from benchmarks.harness import DOCS, Texts, machine, markdown, run
 from benchmarks.site import Site, restart_broker, site, wait
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
-from pipelines.partitions import NIGHT
+from pipelines.resources import NIGHT
 
 PAGE = DOCS / "storage.md"
 SHARED = {"raw_flights", "twin_flights", "features"}

@@ -28,7 +28,7 @@ from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration.around_night import lock_home
 from pipelines.orchestration.nightly import run_night
 from pipelines.orchestration.runs import publish_night
-from pipelines.storage import delta, upkeep
+from pipelines.storage import delta, seal
 
 FLEET = FleetSettings(operators=5, tails=10, flights=100)
 TABLE_NIGHTS = (10, 30, 100, 200, 300, 500, 700, 1000)
@@ -85,7 +85,7 @@ def sizes_of_home(home: Path) -> dict[str, float]:
 
 def pass_day(home: Path) -> None:
     """Let upkeep be due again."""
-    os.utime(home / upkeep.MARKER, (0, 0))
+    os.utime(home / seal.MARKER, (0, 0))
 
 
 @contextmanager
@@ -94,7 +94,7 @@ def days_passed(home: Path, days: int) -> Iterator[None]:
     for commit in home.glob("tables/*/_delta_log/*.json"):
         status = commit.stat()
         os.utime(commit, (status.st_atime, status.st_mtime - 86_400 * (days + 1)))
-    with patch.object(upkeep, "retention", lambda _: upkeep.Retention(0)):
+    with patch.object(seal, "retention", lambda _: seal.Retention(0)):
         yield
 
 

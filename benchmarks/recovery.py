@@ -28,7 +28,7 @@ from benchmarks.harness import Texts, count_time, machine, markdown, run
 from benchmarks.scale import PAGE, Silent
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.tables import TABLES
-from pipelines import partitions
+from pipelines import resources
 from pipelines.intake.simulated import write_fleet
 from pipelines.lineage import LINEAGE
 from pipelines.orchestration import around_night, nightly, runs
@@ -94,9 +94,9 @@ def _fill_store(home: Path, days: list[date]) -> None:
 def _fill_history(home: Path, ids: list[str]) -> None:
     """Partitions, and an event for each asset and flight; of their text, which reopening does not read, a line."""
     instance = runs.open_instance(home)
-    aircraft = [partitions.aircraft_key(*a) for a in AIRCRAFT]
-    instance.add_dynamic_partitions(str(partitions.AIRCRAFT.name), aircraft)
-    instance.add_dynamic_partitions(str(partitions.FLIGHTS.name), ids)
+    aircraft = [resources.aircraft_key(*a) for a in AIRCRAFT]
+    instance.add_dynamic_partitions(str(resources.AIRCRAFT.name), aircraft)
+    instance.add_dynamic_partitions(str(resources.FLIGHTS.name), ids)
     instance.dispose()
     with closing(sqlite3.connect(home / "dagster/history/index.db")) as con, con:
         query = "select * from event_logs where dagster_event_type = 'ASSET_MATERIALIZATION' limit 1"

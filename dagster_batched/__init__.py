@@ -9,11 +9,10 @@ and asset in SQLite. Most of these events differ in nothing but the partition. H
   transaction. Tables and rows are those of stock, so stock Dagster reads them.
 
 All use of Dagster's private API is in this package, so that a new minor version of Dagster affects only these modules
-and their tests (`tests/pipelines/test_eventlog.py` compares the tables
-with stock's): `partitions` (ranges and keys), `runs` (here and on other machines), `materialization`,
-`celery`, `webserver`.
+and their tests (`tests/pipelines/test_eventlog.py` compares the tables with stock's): beside the event logs
+`partitions` (ranges and keys), `runs` (here and on other machines), `celery`, `webserver`.
 """
 
-from dagster_batched.materialization import report_partitions
+from dagster_batched.runs import report_partitions
 
 __all__ = ["report_partitions"]

@@ -16,8 +16,8 @@ from dagster._serdes import ConfigurableClassData
 from dagster_postgres.event_log import PostgresEventLogStorage
 from sqlalchemy import Connection, text
 
-from dagster_batched.coalescing import CoalescingEventLog
-from dagster_batched.event_group import EventGroup
+from dagster_batched.event_log import CoalescingEventLog
+from dagster_batched.partitions import EventGroup
 
 _INSERT_OTHERS = text(
     "insert into event_logs (run_id, event, dagster_event_type, timestamp, step_key, asset_key, partition)"

@@ -1,15 +1,21 @@
-"""Execute runs in this process, and follow runs that the instance's launcher sends to other machines."""
+"""Open an instance with a batched event log, execute runs here or on other machines, report what they have made."""
 
+import os
 import sys
-from collections.abc import Collection, Iterable
+import uuid
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import dagster as dg
 from dagster._core.code_pointer import ModuleCodePointer
 from dagster._core.definitions.job_base import InMemoryJob
+from dagster._core.definitions.partitions.subset import DefaultPartitionsSubset
 from dagster._core.errors import DagsterExecutionInterruptedError
-from dagster._core.events import RunFailureReason
+from dagster._core.events import DagsterEvent, DagsterEventBatchMetadata, RunFailureReason, StepMaterializationData
 from dagster._core.execution.api import execute_run
+from dagster._core.instance.utils import RUNLESS_JOB_NAME, RUNLESS_RUN_ID
 from dagster._core.origin import DEFAULT_DAGSTER_ENTRY_POINT, JobPythonOrigin, RepositoryPythonOrigin
 from dagster._core.remote_origin import ManagedGrpcPythonEnvCodeLocationOrigin, RemoteJobOrigin, RemoteRepositoryOrigin
 from dagster._core.storage.dagster_run import FINISHED_STATUSES
@@ -21,6 +27,63 @@ from dagster._core.storage.tags import (
 )
 from dagster._core.types.loadable_target_origin import LoadableTargetOrigin
 from dagster._daemon.controller import all_daemons_live
+
+from dagster_batched.event_log import BatchedSqliteEventLogStorage, CoalescingEventLog
+from dagster_batched.partitions import make_keys_quickly, skip_input_versions
+
+BATCH_EVENTS = 1000
+
+_SETTINGS = """\
+{mark} {note}
+telemetry:
+  enabled: false
+nux:
+  enabled: false
+freshness:
+  enabled: true
+compute_logs:  # the assets print nothing, and capturing output would start two processes a step
+  module: dagster._core.storage.noop_compute_log_manager
+  class: NoOpComputeLogManager
+event_log_storage:
+  module: dagster_batched.event_log
+  class: BatchedSqliteEventLogStorage
+  config:
+    base_dir: {base}/history
+"""
+
+
+def batch_events() -> None:
+    """Have Dagster pass asset events in batches; a user's own setting stays."""
+    os.environ.setdefault("DAGSTER_EVENT_BATCH_SIZE", str(BATCH_EVENTS))
+
+
+def open_instance(base: Path, mark: str, note: str) -> dg.DagsterInstance:
+    """Open the instance of a folder; a `dagster.yaml` there that does not begin with `mark` is used unchanged.
+
+    Parameters
+    ----------
+    base : Path
+        Absolute folder; it is created where it is missing, and may have been moved.
+    mark, note : str
+        First line of the settings that are written here: by whom, and a note about them.
+    """
+    batch_events()
+    skip_input_versions()
+    make_keys_quickly()
+    base.mkdir(parents=True, exist_ok=True)
+    settings, ours = base / "dagster.yaml", _SETTINGS.format(base=base, mark=mark, note=note)
+    written = settings.read_text() if settings.exists() else ""
+    if written != ours and (written.startswith(mark) or not written):  # a kill of an older version left it empty
+        _replace_text(settings, ours)
+    return dg.DagsterInstance.from_config(str(base))
+
+
+def _replace_text(path: Path, text: str) -> None:
+    """Replace a file at once: a process that read it half written would use Dagster's slow event log for its life."""
+    copy = path.with_name(f".{path.name}.{os.getpid()}")
+    copy.write_text(text)
+    copy.replace(path)
+
 
 InterruptedRunError = DagsterExecutionInterruptedError
 _SILENT_S = 60  # beyond the half minute between two of the daemon's heartbeats
@@ -100,3 +163,74 @@ def _may_retry(instance: dg.DagsterInstance, run: dg.DagsterRun) -> bool:
     if run.status != dg.DagsterRunStatus.FAILURE or not instance.run_retries_enabled:
         return False
     return run.tags.get(WILL_RETRY_TAG, "true") == "true" and AUTO_RETRY_RUN_ID_TAG not in run.tags
+
+
+def report_partitions(
+    context: dg.OutputContext, partitions: Sequence[str], numbers: Sequence[Mapping[str, int]] = ()
+) -> None:
+    """Report that an output filled these partitions and no others of its run's range.
+
+    A range over two dimensions is their product, of which a run often fills a part. Dagster has no public way to list
+    it; it reads the subset of the output's context. In an event log of this package one event covers all partitions; in
+    any other each has its own.
+
+    Parameters
+    ----------
+    context : OutputContext
+        The context of `IOManager.handle_output`, of an asset with partitions.
+    partitions : sequence of str
+        Keys of the filled partitions, all of the run's range. With none the output counts for no partition.
+    numbers : sequence of mapping
+        Metadata of each partition's event beside the output's. In a log of Dagster's own all events of an output have
+        the same metadata, so these are added only where there is one.
+    """
+    log = context.step_context.instance.event_log_storage
+    if numbers and (isinstance(log, CoalescingEventLog) or len(partitions) == 1):
+        context.add_output_metadata(numbers[0])
+    if isinstance(log, CoalescingEventLog) and partitions:
+        log.group_partitions(context.run_id, context.asset_key, partitions, numbers)
+        partitions = partitions[:1]
+    context._asset_partitions_subset = DefaultPartitionsSubset(set(partitions))
+
+
+def report_runless(instance: dg.DagsterInstance, materializations: Sequence[dg.AssetMaterialization]) -> None:
+    """Record materializations that belong to no run in one transaction; stock has them one by one."""
+    batch = str(uuid.uuid4())
+    for last, materialization in zip([*[False] * (len(materializations) - 1), True], materializations, strict=True):
+        event = DagsterEvent(
+            dg.DagsterEventType.ASSET_MATERIALIZATION.value,
+            job_name=RUNLESS_JOB_NAME,
+            event_specific_data=StepMaterializationData(materialization),
+        )
+        instance.report_dagster_event(event, RUNLESS_RUN_ID, batch_metadata=DagsterEventBatchMetadata(batch, last))
+
+
+class CheckBeforeStorage(dg.AssetCheckResult):
+    """A check's result that belongs to the output after it.
+
+    Dagster would look up the previous materialization of every table.
+    """
+
+    def _get_target_materialization_data(self, *_: Any) -> None:
+        return None
+
+
+def delete_runs(instance: dg.DagsterInstance, before: datetime) -> int:
+    """Delete runs that ended before a time, with their events; their number.
+
+    Cells without a later run then show as not materialized; what is stored and stale is in the ledger.
+    """
+    run_filter = dg.RunsFilter(statuses=list(FINISHED_STATUSES), updated_before=before)
+    runs = instance.get_runs(run_filter)
+    log = instance.event_log_storage
+    for run in runs:
+        instance.delete_run(run.run_id)
+        if isinstance(log, BatchedSqliteEventLogStorage):
+            _remove(Path(log.path_for_shard(run.run_id)))
+    return len(runs)
+
+
+def _remove(shard: Path) -> None:
+    """Delete a run's own file, and SQLite's files beside it."""
+    for end in ("", "-wal", "-shm"):
+        shard.with_name(shard.name + end).unlink(missing_ok=True)

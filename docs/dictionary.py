@@ -15,8 +15,7 @@ from docs import hindsight
 from docs.hindsight import DESIGN, REVISIONS
 from hdt_core.tables import TABLES
 from pipelines.storage.catalog import connect
-from pipelines.storage.headers import meanings_of_columns, read_header
-from pipelines.storage.publication import order_views, publish, views
+from pipelines.storage.publication import meanings_of_columns, publish, read_header, views
 
 _TITLE = """# Data dictionary
 
@@ -61,8 +60,8 @@ def view_columns() -> dict[str, list[tuple[str, str, str]]]:
     with tempfile.TemporaryDirectory() as home:
         publish(Path(home))
         with connect(Path(home)) as con:
-            descriptions = {v: con.sql(f"describe {v}").fetchall() for v, _ in order_views(views())}
-    meanings = meanings_of_columns({name: read_header(sql) for name, sql in views().items()})
+            descriptions = {v: con.sql(f"describe {v}").fetchall() for v in views()}
+    meanings = meanings_of_columns()
     return {
         view: [(str(row[0]), str(row[1]).lower(), meanings[view].get(str(row[0]), "")) for row in rows]
         for view, rows in descriptions.items()

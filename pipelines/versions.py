@@ -66,8 +66,7 @@ def find_stale_cells(ledger: Ledger, stage: Stage) -> pl.DataFrame:
 def recipe_version(ledger: Ledger, stages: Sequence[Stage]) -> str:
     """Hash all that determines cells beside their inputs: stages, column types, accepted terms, the fleet's tables."""
     parents = {p for stage in stages if stage.grain != "fleet" for p in stage.parents if TABLES[p].grain == "fleet"}
-    fleet = ledger.of(())
-    versions = (v for table in sorted(parents) for v in fleet.cells(table)["version"])
+    versions = (v for cells in ledger.of(()).cells_of(sorted(parents)).values() for v in cells["version"])
     settings = (value for read in HOME_SETTINGS.values() for value in read(ledger.home))
     return digest(repr(stages), _declared_types(), *settings, *versions)
 
@@ -86,11 +85,10 @@ def restrict_ledger(ledger: Ledger, stage: Stage, aircraft: Iterable[Aircraft], 
 def stale_cells_of(ledger: Ledger, tables: Iterable[str]) -> pl.DataFrame:
     """List cells of some tables, of one grain, whose stored version is absent or not the expected one."""
     tables = list(tables)
-    parents = _parents(ledger, tables)
-    stale_by_table = (
-        _expected_versions(ledger, t, parents).join(ledger.cells(t), on=[*CELL, "version"], how="anti") for t in tables
+    parents, stored = _parents(ledger, tables), ledger.cells_of(tables)
+    return pl.concat(
+        _expected_versions(ledger, t, parents).join(stored[t], on=[*CELL, "version"], how="anti") for t in tables
     )
-    return pl.concat(stale_by_table)
 
 
 def _file_versions(ledger: Ledger, grain: str, recipe: Recipe) -> pl.DataFrame:
@@ -118,17 +116,18 @@ def _parents(ledger: Ledger, tables: Iterable[str]) -> dict[str, pl.DataFrame]:
     """Read the versions of all parents of some tables of one grain, each in a column of its table's name."""
     recipes = [(LINEAGE[table], _DEPTH[TABLES[table].grain]) for table in tables]
     depths = {parent: depth for recipe, depth in recipes if not recipe.baseline for parent in recipe.parents}
-    return {parent: _versions_at(ledger, depth, parent) for parent, depth in depths.items()}
+    finer = [parent for parent, depth in depths.items() if _DEPTH[TABLES[parent].grain] > depth]
+    stored = ledger.cells_of([parent for parent in depths if parent not in finer], finer)
+    return {parent: _versions_at(stored[parent], depth, parent) for parent, depth in depths.items()}
 
 
-def _versions_at(ledger: Ledger, depth: int, table: str) -> pl.DataFrame:
-    """Read a table's versions at a depth of cells: finer ones hashed into one, coarser ones unchanged."""
+def _versions_at(stored: pl.DataFrame, depth: int, table: str) -> pl.DataFrame:
+    """Return a table's versions at a depth of cells: finer ones hashed into one, coarser ones unchanged."""
     own = _DEPTH[TABLES[table].grain]
     if own <= depth:
-        return ledger.cells(table).select(*CELL[:own], pl.col("version").alias(table))
-    cell_lines = ledger.lines(table)
+        return stored.select(*CELL[:own], pl.col("version").alias(table))
     lines = pl.col("lines") if depth else pl.col("lines").str.join("|")
-    return cell_lines.select(*CELL[:depth], lines.map_elements(_hash_lines, return_dtype=pl.String).alias(table))
+    return stored.select(*CELL[:depth], lines.map_elements(_hash_lines, return_dtype=pl.String).alias(table))
 
 
 def _hash_lines(lines: str) -> str:

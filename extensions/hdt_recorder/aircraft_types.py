@@ -13,7 +13,7 @@ from typing import Any
 from hdt_core.components import recorded_components
 from hdt_core.loading import parse_toml
 from pipelines.intake.columns import SIGNAL_COLUMNS
-from pipelines.intake.fields import MAX_PACKS
+from pipelines.intake.landing_file import MAX_PACKS
 
 PACK = "pack"
 CLOCK = ("hour", "minute", "second")

@@ -15,8 +15,7 @@ from hdt_recorder.types_of_zone import types_of
 from pipelines.intake.columns import SIGNAL_COLUMNS
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import FileIntake, LandingFile
-from pipelines.intake.lists import printable
-from pipelines.intake.logs import time_fault
+from pipelines.intake.logs import printable, time_fault
 
 MESSAGE_FILE = "message.dat"
 """Name of the message file in a recorder's archive."""

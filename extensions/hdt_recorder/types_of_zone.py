@@ -9,7 +9,7 @@ from hdt_core.loading import load_entry_points
 from hdt_recorder.aircraft_types import AircraftType, AircraftTypeError, read_type
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import RECORDER, Kind, LandingFile
-from pipelines.intake.lists import FleetLine, fleet_lines
+from pipelines.intake.logs import FleetLine, fleet_lines
 from pipelines.intake.readers import REPORTS, TYPES, KindOf, ReaderError
 
 

@@ -1,4 +1,4 @@
-"""Calibrate the Digital System Model from the commissioning window of each tail."""
+"""Classify legs as nominal, and calibrate the Digital System Model from the commissioning window of each tail."""
 
 import json
 from collections.abc import Sequence
@@ -12,9 +12,9 @@ from hdt_core.calibration.baseline_wear import audit_drift
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.dsm import Dsm, design_parameters
 from hdt_core.calibration.flight_estimates import estimate_flights
-from hdt_core.flight.admission import admit, learn_baseline, leg_indicators
+from hdt_core.flight.admission import NominalBaseline, admit, learn_baseline, leg_indicators
 from hdt_core.flight.control_schedules import learn_schedules
-from hdt_core.flight.legs import reject_odd_bleed
+from hdt_core.flight.legs import judge_legs, reject_odd_bleed
 from hdt_core.records.keys import FLIGHT_PACK, LEG, of_each_aircraft
 from hdt_core.tables.raw import SIGNALS
 from pipelines.assets.stage import StageResult, stage
@@ -23,6 +23,30 @@ from pipelines.resources import Home
 from pipelines.storage.settings import accepted_terms
 from pipelines.storage.store import Store
 from pipelines.versions import baseline_cells, baseline_records
+
+
+@stage
+def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Classify each leg by its own record alone: phase, completeness, range, steady state."""
+    verdicts, samples = judge_legs(pl.concat([raw_snapshots, raw_logs]))
+    return samples, verdicts
+
+
+@stage
+def legs_admitted(
+    legs_verdicts: pl.DataFrame,
+    legs_indicators: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
+    raw_reports: pl.DataFrame,
+    raw_messages: pl.DataFrame,
+    twin_health: pl.DataFrame,
+    twin_flights: pl.DataFrame,
+    calibration_schedules: pl.DataFrame,
+) -> pl.DataFrame:
+    """Admit legs by logs, printed reports, cross checks and the twin, with hindsight."""
+    baseline = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
+    verdicts = reject_odd_bleed(legs_verdicts, raw_reports)
+    return admit(baseline, verdicts, legs_indicators, raw_maintenance, raw_messages, twin_health, twin_flights)
 
 
 @stage

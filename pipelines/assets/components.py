@@ -19,8 +19,7 @@ from pipelines.assets.stage import stage
 from pipelines.intake.components import read_components
 from pipelines.intake.ingest import landing_files
 from pipelines.lineage import STAGE
-from pipelines.partitions import PartitionScope
-from pipelines.resources import Home
+from pipelines.resources import Home, PartitionScope
 from pipelines.storage.settings import accepted_terms
 
 SAMPLE = [*LEG, "component", "time_utc", "signal"]

@@ -1,5 +1,6 @@
 """Ingest records as typed SI rows without duplicates, and account for every delivered row."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,22 +10,18 @@ import polars as pl
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawChecks
 from pipelines.assets.stage import stage
-from pipelines.intake.costs import NAME as COSTS_FILE
-from pipelines.intake.costs import costs_or_fault
 from pipelines.intake.faults import quarantine
-from pipelines.intake.findings import CASE, with_findings
+from pipelines.intake.findings import CASE, costs_or_fault, with_findings
+from pipelines.intake.findings import NAME as COSTS_FILE
 from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
-from pipelines.intake.landing import list_landing
+from pipelines.intake.landing import WITHOUT_FLIGHT, list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.intake.logs import or_stored, read_checks, read_fleet, read_maintenance, read_messages
 from pipelines.intake.readers import REPORTS, TYPES, readers
-from pipelines.intake.scan import WITHOUT_FLIGHT
 from pipelines.intake.snapshots import read_snapshots
-from pipelines.lineage import LINEAGE
-from pipelines.partitions import PartitionScope
-from pipelines.resources import Home
+from pipelines.lineage import LINEAGE, STAGE
+from pipelines.resources import Home, PartitionScope
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.store import Store
 
 
 @stage
@@ -55,75 +52,64 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
 def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     """Read messages, maintenance entries, the case log and heads of printed reports."""
     listing = home.ledger.of(scope.aircraft or {}).files([*RECORDS, REPORTS])
-    logs = [*_logs(listing, scope, home), *_printed(listing, scope, home)]
-    paths = [f.path for f, _ in logs]
-
-    rows = {kind: _records(kind, [(f, x) for f, x in logs if f.kind == kind], scope, home.store) for kind in RECORDS}
-    cases = case_log_rows(scope, home)
+    stored = {table: scope.read_table(home.store, table) for table in STAGE["raw_records"].tables}
+    stored["raw_maintenance"] = stored["raw_maintenance"].filter(pl.col("source") != CASE)  # the case log has findings
+    landing = Path(home.landing)
+    logs = [*_logs(listing, stored, landing), *_printed(listing, stored["raw_reports"], landing)]
+    of_kind = {kind: [(f, x) for f, x in logs if f.kind == kind] for kind in (*RECORDS, REPORTS)}
+    messages, maintenance = (_records(of_kind[kind], stored[f"raw_{kind}"]) for kind in RECORDS)
+    cases = _cases(CaseLog(Path(home.home)).entries(), stored["raw_cases"], scope)
 
     def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
-        stored = scope.read_table(home.store, table).filter(~pl.col("file").is_in(paths))  # of files that left
-        return pl.concat([stored, *frames], how="diagonal")
+        of_files_that_left = ~pl.col("file").is_in([f.path for f, _ in logs])
+        return pl.concat([stored[table].filter(of_files_that_left), *frames], how="diagonal")
 
     deliveries = [with_aircraft(f, account(f, x)) for f, x in logs]
     return (
-        rows["messages"],
-        date_entries(with_findings(rows["maintenance"], cases)),
+        messages,
+        date_entries(with_findings(maintenance, cases)),
         cases,
-        with_stored("raw_reports", [x.rows for f, x in logs if f.kind == REPORTS]),
+        with_stored("raw_reports", [x.rows for _, x in of_kind[REPORTS]]),
         with_stored("raw_records_deliveries", deliveries).with_columns(_ROW_COUNTS),
         with_stored("raw_records_quarantine", [with_aircraft(f, x.quarantine) for f, x in logs]),
     )
 
 
-RECORDS = {"messages": ("raw_messages", read_messages), "maintenance": ("raw_maintenance", read_maintenance)}
+RECORDS = {"messages": read_messages, "maintenance": read_maintenance}
 _AIRCRAFT = {"operator": pl.String, "tail": pl.String}
 _ROW_COUNTS = pl.col("delivered", "loaded", "quarantined", "duplicate").fill_null(0)
+_Logs = list[tuple[LandingFile, FileIntake]]
 
 
-def _logs(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, FileIntake]]:
+def _logs(listing: pl.DataFrame, stored: Mapping[str, pl.DataFrame], landing: Path) -> _Logs:
     """Read messages and maintenance, one file an aircraft; packs already stored keep their numbers."""
-    files, now = landing_files(Path(home.landing), listing.filter(pl.col("kind") != REPORTS)), datetime.now(UTC)
-    stored = {kind: _stored(kind, scope, home.store) for kind in RECORDS}
-    packs = {
-        (kind, *row[:2]): row[2] or 0
-        for kind, frame in stored.items()
-        for row in frame.group_by("operator", "tail").agg(pl.col("pack").max()).rows()
-    }
-    files = [replace(f, packs_stored=packs.get((f.kind, f.operator, f.tail), 0)) for f in files]
-    own = [stored[f.kind].filter(operator=f.operator, tail=f.tail) for f in files]
-    return [(f, or_stored(RECORDS[f.kind][1](f, now), rows)) for f, rows in zip(files, own, strict=True)]
+    logs, now = _Logs(), datetime.now(UTC)
+    for file in landing_files(landing, listing.filter(pl.col("kind") != REPORTS)):
+        own = stored[f"raw_{file.kind}"].filter(operator=file.operator, tail=file.tail)
+        with_packs = replace(file, packs_stored=own.select(pl.col("pack").max()).item() or 0)
+        logs.append((with_packs, or_stored(RECORDS[file.kind](with_packs, now), own)))
+    return logs
 
 
-def _printed(listing: pl.DataFrame, scope: PartitionScope, home: Home) -> list[tuple[LandingFile, FileIntake]]:
+def _printed(listing: pl.DataFrame, stored: pl.DataFrame, landing: Path) -> _Logs:
     """Read printed reports whose present version is not stored; there is one a flight."""
     version = pl.concat_str("digest", pl.lit(f".{LINEAGE['raw_reports'].code}")).alias("version")
-    stored = scope.read_table(home.store, "raw_reports").select(path="file", version="file_version")
     unread = listing.filter(pl.col("kind") == REPORTS).with_columns(version)
-    unread = unread.join(stored, on=["path", "version"], how="anti")
+    unread = unread.join(stored.select(path="file", version="file_version"), on=["path", "version"], how="anti")
     versions, now = dict(unread.select("path", "version").rows()), datetime.now(UTC)
-    files = landing_files(Path(home.landing), unread) if REPORTS in readers() else []
+    files = landing_files(landing, unread) if REPORTS in readers() else []
     return [(f, readers()[REPORTS].read_printed(f, now, versions[f.path])) for f in files]
 
 
-def _records(
-    kind: str, logs: list[tuple[LandingFile, FileIntake]], scope: PartitionScope, store: Store
-) -> pl.DataFrame:
+def _records(logs: _Logs, stored: pl.DataFrame) -> pl.DataFrame:
     """Return rows of present files, and stored rows of aircraft whose file has left the landing zone."""
     delivered = pl.DataFrame([(f.operator, f.tail) for f, _ in logs], schema=_AIRCRAFT, orient="row")
-    stored = _stored(kind, scope, store).join(delivered, on=delivered.columns, how="anti", maintain_order="left")
-    return pl.concat([stored, *(x.rows for _, x in logs)], how="diagonal")
+    others = stored.join(delivered, on=delivered.columns, how="anti", maintain_order="left")
+    return pl.concat([others, *(x.rows for _, x in logs)], how="diagonal")
 
 
-def _stored(kind: str, scope: PartitionScope, store: Store) -> pl.DataFrame:
-    """Read the stored rows of logs, without findings, which come from the case log."""
-    rows = scope.read_table(store, RECORDS[kind][0])
-    return rows.filter(pl.col("source") != CASE) if kind == "maintenance" else rows
-
-
-def case_log_rows(scope: PartitionScope, home: Home) -> pl.DataFrame:
+def _cases(entries: pl.DataFrame, stored: pl.DataFrame, scope: PartitionScope) -> pl.DataFrame:
     """Return case log entries of these aircraft, with stored ones in case the log is lost."""
-    entries, stored = CaseLog(Path(home.home)).entries(), scope.read_table(home.store, "raw_cases")
     rows = pl.concat([entries, stored], how="diagonal").unique(["line", "at"], keep="first", maintain_order=True)
     return rows.join(scope.cells(), on=list(_AIRCRAFT), how="semi").sort("line", "at")
 

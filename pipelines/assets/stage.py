@@ -10,14 +10,12 @@ from typing import Any, NamedTuple
 import dagster as dg
 import polars as pl
 
-from dagster_batched.materialization import CheckBeforeStorage
+from dagster_batched.runs import CheckBeforeStorage
 from hdt_core.tables import TABLES
-from pipelines import partitions
+from pipelines.intake.faults import panics_as_errors
 from pipelines.lineage import MAKER, STAGE, UPSTREAM, Stage
-from pipelines.partitions import PartitionScope
-from pipelines.resources import Home, store_broken_rows
-from pipelines.storage.headers import MEANINGS
-from pipelines.storage.panics import panics_as_errors
+from pipelines.resources import AIRCRAFT, AIRCRAFT_FLIGHTS, Home, PartitionScope, store_broken_rows, tables_set_aside
+from pipelines.storage.publication import MEANINGS
 
 PUBLISHED = "8_catalog_report"
 """Asset group of the catalog and the report."""
@@ -30,7 +28,7 @@ _GROUPS = {
 """Label of each group in Dagster's graph, 16 characters at most, in the chain's order, and the team that owns it."""
 _TOOLS = {"calibration": "scipy", "twin": "numpy", "prognosis": "scikitlearn"}
 """Library shown for a group; Polars for the others."""
-_PARTITIONS = {"flight": partitions.AIRCRAFT_FLIGHTS, "aircraft": partitions.AIRCRAFT, "fleet": None}
+_PARTITIONS = {"flight": AIRCRAFT_FLIGHTS, "aircraft": AIRCRAFT, "fleet": None}
 CHECK, CHECK_MEANING = "honours_table", "has the declared columns, types, spans and a unique key"
 FRESHNESS = dg.FreshnessPolicy.time_window(fail_window=timedelta(hours=50), warn_window=timedelta(hours=26))
 """Warn after one night without data, fail after two."""
@@ -92,10 +90,11 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
             outcome = fn(**{p: resources[p] if p in resources else scope.read_table(home.store, p) for p in arguments})
         duration = {"seconds": round(time.monotonic() - start, 3)}
         result, store, ledger = _as_stage_result(outcome), home.store, home.ledger
+        set_aside = tables_set_aside(store, declaration.grain)
         for place, (table, frame) in enumerate(zip(declaration.tables, result.frames, strict=True)):
             metadata = result.metadata if place == result.on else {}
             quarantine = partial(store_broken_rows, store, ledger, scope, table)
-            yield from _check_and_store(table, frame, duration, metadata, quarantine)
+            yield from _check_and_store(table, frame, duration, metadata, quarantine, has_old_rows=table in set_aside)
 
     return run
 
@@ -140,8 +139,12 @@ def _check_and_store(
     duration: dict[str, float],
     metadata: Mapping[str, Any],
     quarantine: Callable[[pl.DataFrame], None],
+    *,
+    has_old_rows: bool = False,
 ) -> Iterator[Any]:
     """Check a table and yield result and valid rows; `quarantine` receives the invalid ones.
+
+    It is called without rows too where it may have old ones of these cells to remove.
 
     The check reports on the run: rows, flights and the `duration`. The output is reported by partition, so only
     `metadata` goes with it.
@@ -162,7 +165,8 @@ def _check_and_store(
     )
     if is_refused:
         raise dg.Failure(f"{table} breaks its declaration, so it was not stored: {findings}")
-    quarantine(broken)
+    if broken.height or has_old_rows:
+        quarantine(broken)
     yield dg.Output(valid, output_name=table, metadata=metadata)
 
 

@@ -1,19 +1,27 @@
-"""Estimate each pack's health from one flight, track every component through all, compare with sensor and model."""
+"""Track each component's health, compare it with sensor and model, compute features of it and raise alerts."""
 
 import json
+from pathlib import Path
 
 import polars as pl
 
+from hdt_core.alerts.alerts import component_features, raise_alerts, raise_component_alerts
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.flight.admission import NominalBaseline, leg_indicators
+from hdt_core.flight.control_schedules import ControlSchedules
+from hdt_core.health.features import features as describe
 from hdt_core.health.residuals import residuals as compare
+from hdt_core.health.sensor_checks import cross_checks
+from hdt_core.margin.exchanger_demand import exchanger_demand
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from hdt_core.tracking.track import track
-from pipelines.assets.components import track_components
+from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
+from pipelines.assets.components import conform_all, of_pack, recorded_in, track_components
 from pipelines.assets.stage import stage
 from pipelines.lineage import LINEAGE
-from pipelines.partitions import PartitionScope
-from pipelines.resources import Home
+from pipelines.resources import Home, PartitionScope
+from pipelines.storage.settings import alert_limits
 
 
 def model_of(calibration_dsm: pl.DataFrame) -> Dsm:
@@ -55,3 +63,59 @@ def twin_health(
 def residuals(legs_samples: pl.DataFrame, twin_flights: pl.DataFrame, calibration_dsm: pl.DataFrame) -> pl.DataFrame:
     """Compute sensor minus model, model minus twin and sensor minus twin, per flight and signal."""
     return compare(legs_samples, twin_flights, model_of(calibration_dsm))
+
+
+@stage
+def indicators(legs_samples: pl.DataFrame, calibration_schedules: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Compute indicators of each leg and cross checks of sensors, door and controllers against the fleet's laws."""
+    norm = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
+    laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_schedules, CONTROLLERS)))
+    return leg_indicators(legs_samples, norm), cross_checks(legs_samples, laws)
+
+
+@stage
+def features_margin(
+    legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame, calibration_schedules: pl.DataFrame
+) -> pl.DataFrame:
+    """Compute each flight's demand on the exchangers: the conductance below which the outlet leaves its set point."""
+    laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_schedules, CONTROLLERS)))
+    return exchanger_demand(legs_samples, model_of(calibration_dsm), laws)
+
+
+@stage
+def features(
+    twin_health: pl.DataFrame,
+    residuals: pl.DataFrame,
+    legs_verdicts: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
+    twin_flights: pl.DataFrame,
+    features_cross_checks: pl.DataFrame,
+    features_margin: pl.DataFrame,
+    residuals_components: pl.DataFrame,
+    legs_components: pl.DataFrame,
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Join health, residuals, trends, virtual sensors and cross checks of door and sensors, by flight and pack."""
+    inputs = (twin_health, residuals_components, legs_components, raw_maintenance)
+    pack = describe(
+        of_pack(twin_health),
+        residuals,
+        legs_verdicts,
+        raw_maintenance,
+        twin_flights=twin_flights,
+        cross_checks=features_cross_checks,
+        demand=features_margin,
+    )
+    components = [component_features(*inputs, c) for c in recorded_in(legs_components)]
+    return pack, conform_all("features_components", components)
+
+
+@stage
+def features_alerts(
+    features: pl.DataFrame, features_components: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
+) -> pl.DataFrame:
+    """Raise alerts: which loss grew, since when, what else could explain it, what to do."""
+    limits = alert_limits(Path(home.home))
+    alerts = raise_alerts(features, raw_maintenance, limits)
+    inputs = (features_components, raw_maintenance)
+    others = (raise_component_alerts(*inputs, c, limits) for c in recorded_in(features_components))
+    return conform_all("features_alerts", [alerts, *others])

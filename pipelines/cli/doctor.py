@@ -14,25 +14,24 @@ import duckdb
 import polars as pl
 
 from pipelines.digest.declaration import NotifyError, receivers_of
-from pipelines.intake.costs import NAME as NAME_OF_COSTS
-from pipelines.intake.costs import CostError, read_costs
+from pipelines.intake.faults import ignored_entries, silent_columns, silent_lines
+from pipelines.intake.findings import NAME as NAME_OF_COSTS
+from pipelines.intake.findings import CostError, read_costs
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.readers import TYPES, readers
-from pipelines.intake.refusals import ignored_entries, silent_columns, silent_lines
 from pipelines.intake.snapshots import read_snapshots
 from pipelines.lineage import FLIGHT_FILES
 from pipelines.orchestration.around_night import find_landing_fault
+from pipelines.repair import find_history_fault
 from pipelines.report.tasks import NAME as NAME_OF_TASKS
 from pipelines.report.tasks import read_tasks
-from pipelines.storage import history
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.ledger import FILE, Ledger
-from pipelines.storage.ledger_copy import find_ledger_fault
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import views
-from pipelines.storage.seal import CYCLE, NAME, changed_files, name_files, read_seal
+from pipelines.storage.seal import CYCLE, NAME, changed_files, find_ledger_fault, name_files, read_seal
 from pipelines.storage.settings import notify_file
 from pipelines.storage.store import Store
 
@@ -176,7 +175,7 @@ def _stored(home: Path) -> Iterator[Check]:
         yield Check("ledger", fault is None, f"it {fault}; {_NIGHT} repairs it" if fault else "ok")
     yield from _cases(home)
     if (home / "dagster").is_dir():
-        fault = history.find_history_fault(home)
+        fault = find_history_fault(home)
         yield Check("history", fault is None, f"{fault}; `hdt tidy` begins a new one" if fault else "ok")
     store, seal = Store(home.resolve()), read_seal(home)
     if not store.place.remote and (seal or (home / CATALOG).exists()):

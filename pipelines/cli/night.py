@@ -98,7 +98,7 @@ def backfill(
     By operator, aircraft or departure date, both ends included. It may be stopped and started again.
     """
     where = landing_folder(landing)
-    from pipelines.intake.fields import is_operator, is_tail
+    from pipelines.intake.landing_file import is_operator, is_tail
 
     if operator and not (is_operator(operator) and (where / operator).is_dir()):
         raise StopError(f"no operator {operator} in {where}")
@@ -126,10 +126,10 @@ def tidy(
     Tables are not touched and nothing is computed again; cells that only those runs computed appear as not materialized
     on Dagster's page.
     """
-    from dagster_batched.event_log import delete_runs
+    from dagster_batched.runs import delete_runs
     from pipelines.orchestration.around_night import lock_home
     from pipelines.orchestration.runs import open_instance
-    from pipelines.storage.history import replace_damaged_history
+    from pipelines.repair import replace_damaged_history
 
     where = home_folder(home)
     with lock_home(where):
@@ -141,7 +141,7 @@ def tidy(
 
 
 def _print_new_files(landing: Path, home: Path, as_json: bool) -> None:
-    from pipelines.intake.scan import list_new_files
+    from pipelines.intake.landing import list_new_files
     from pipelines.storage.ledger import Ledger
 
     files, new = list_new_files(landing, Ledger(home, read_only=True))
@@ -210,7 +210,7 @@ def _print_results(home: Path, night: Any, seconds: float) -> None:
 
 def _print_refusals(home: Path, files: frozenset[str]) -> None:
     """Print what of tonight's files was quarantined, and the silent columns of their aircraft."""
-    from pipelines.intake.refusals import quarantine_line, silent_columns, silent_lines
+    from pipelines.intake.faults import quarantine_line, silent_columns, silent_lines
     from pipelines.storage.catalog import connect
 
     with connect(home) as con:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.digest.changes import Digest, Row
-from pipelines.intake.refusals import describe_silence
+from pipelines.intake.faults import describe_silence
 from pipelines.report import words
 from pipelines.report.templating import templates_of
 from pipelines.storage.files import replacing

@@ -4,7 +4,7 @@ from typing import Any
 
 import duckdb
 
-from pipelines.intake.refusals import silent_columns
+from pipelines.intake.faults import silent_columns
 from pipelines.report.tasks import BEST_CHOICE, Tasks, work_text
 
 State = dict[str, Any]

@@ -9,13 +9,11 @@ from hdt_core.components import Channel, Component, recorded_components
 from hdt_core.tables.base import COMPONENT_FLIGHT_ID
 from hdt_core.tables.twin import RawComponents
 from pipelines.intake.columns import Contract
-from pipelines.intake.faults import Fault
-from pipelines.intake.fields import EARLIEST, MAX_PACKS
-from pipelines.intake.landing_file import RECORDER, FileIntake, LandingFile
+from pipelines.intake.faults import Fault, first_line, panics_as_errors
+from pipelines.intake.landing_file import EARLIEST, MAX_PACKS, RECORDER, FileIntake, LandingFile
 from pipelines.intake.readers import readers
 from pipelines.intake.row_validation import in_future, is_pack
 from pipelines.intake.snapshots import OpenFile, add_faults, open_files
-from pipelines.storage.panics import first_line, panics_as_errors
 
 FLIGHT = ["operator", "tail", "component", "flight_id"]
 KEY = [*FLIGHT, "pack", "time_utc"]

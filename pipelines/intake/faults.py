@@ -1,15 +1,22 @@
-"""Describe faults of delivered files, rows and values, and turn them into quarantine rows."""
+"""Describe faults of delivered files, rows and values as quarantine rows; report what a night did not read."""
 
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.resources import files
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import polars as pl
+from polars.exceptions import PanicException
 
 from hdt_core.tables.raw import RawQuarantine
+from pipelines.words import _, several
+
+if TYPE_CHECKING:
+    import duckdb
+
 
 NO_FAULTS = pl.DataFrame(schema=RawQuarantine.types("operator", "tail"))
 """`row` is the line of a text file (header = 1) or the row of a Parquet file, from 1; null for the whole file.
@@ -66,7 +73,7 @@ def quarantine(file: str, received_at: datetime | None, faults: Iterable[Fault])
     """Turn faults of one file into quarantine rows; the detail begins with the sentence of the reason."""
     rows = []
     for f in faults:
-        scope, sentence, _ = REASONS[f.reason]
+        scope, sentence, _remedy = REASONS[f.reason]
         detail, content = f"{sentence} {f.detail}".strip(), f.content and f.content[:500]
         rows.append((file, f.row, f.column_name, f.reason, detail, scope, f.flight_id, received_at, f.n_rows, content))
     return pl.DataFrame(rows, schema=NO_FAULTS.schema, orient="row")
@@ -83,3 +90,94 @@ def limit_values(values: list[Fault]) -> list[Fault]:
             short.append(fault)
     more = [(key, n - MAX_VALUES_LISTED) for key, n in counts.items() if n > MAX_VALUES_LISTED]
     return short + [Fault(reason, None, column, f"And {n} more values.") for (reason, column), n in more]
+
+
+MAX_LINES = 5
+"""Lines of a kind; the rest is counted."""
+MAX_NAMES = 3
+"""Names that share a line."""
+Row = Mapping[str, Any]
+_SILENT = "select * from silent_columns order by n_refused desc, operator, tail, folder, column_name"
+_QUARANTINE_ROWS = """
+select file, reason, sum(n_rows)::bigint as n_rows from quarantine
+where n_rows > 0 group by file, reason order by n_rows desc, file, reason
+"""
+
+
+def ignored_entries(entries: pl.DataFrame) -> list[str]:
+    """List the names in the landing zone that are not read; those with one reason in one folder share a line."""
+    folder = pl.col("file").str.replace(r"/?[^/]*$", "")
+    groups = entries.group_by(folder.alias("folder"), "detail", maintain_order=True).agg("file")
+    lines = []
+    for _folder, detail, paths in groups.iter_rows():
+        names, more = ", ".join(paths[:MAX_NAMES]), len(paths) - MAX_NAMES
+        lines.append(f"{_('{names} and {n} more', names=names, n=more) if more > 0 else names}: {detail}")
+    return _limit_lines(lines, _("the view quarantine has them"))
+
+
+def quarantine_line(con: "duckdb.DuckDBPyConnection", new_files: Collection[str]) -> str:
+    """Report in one line the quarantined rows of the new files, with the worst file; empty where there are none."""
+    own = [row for row in con.execute(_QUARANTINE_ROWS).fetchall() if row[0] in new_files]
+    if not own:
+        return ""
+    file, reason, worst = own[0]
+    return _(
+        "{rows} of {files}, most of them of {file} ({worst}): {reason} All: {query}",
+        rows=several("{n} row", "{n} rows", sum(n for *_rest, n in own)),
+        files=several("{n} file", "{n} files", len({file for file, *_rest in own})),
+        file=file,
+        worst=worst,
+        reason=REASONS[reason].sentence,
+        query='hdt query "select * from quarantine where n_rows > 0"',
+    )
+
+
+def silent_columns(con: "duckdb.DuckDBPyConnection") -> list[Row]:
+    """Query the view `silent_columns`, the column with most refusals first."""
+    return list(con.sql(_SILENT).pl().iter_rows(named=True))
+
+
+def silent_lines(rows: Iterable[Row]) -> list[str]:
+    """Report each column that fell silent in a line."""
+    return _limit_lines(
+        [f"{r['operator']} {r['tail']}: {describe_silence(r)}" for r in rows], "hdt query 'from silent_columns'"
+    )
+
+
+def describe_silence(row: Row) -> str:
+    """Describe a silent column: how much of it, since when, in which file, and the unit that it is likely in."""
+    flight = row["since_flight"]
+    sentence = _(
+        "{column} refused in {share} of {n} rows since {day} leg {leg} ({reason}), last in {file}.",
+        column=row["column_name"] or _("everything"),
+        share=f"{min(row['n_refused'] / row['n_delivered'], 1.0):.0%}".replace("%", " %"),
+        n=row["n_delivered"],
+        day=f"{flight[:4]}-{flight[4:6]}-{flight[6:8]}" if flight else "?",
+        leg=flight[9:] if flight else "?",
+        reason=row["reason"].replace("_", " "),
+        file=row["file"],
+    )
+    return f"{sentence} {_('It fits {unit}.', unit=row['fits'])}" if row["fits"] else sentence
+
+
+def _limit_lines(lines: list[str], where: str) -> list[str]:
+    more = len(lines) - MAX_LINES
+    return [*lines[:MAX_LINES], _("and {n} more: {where}", n=more, where=where)] if more > 0 else lines
+
+
+class PanicError(RuntimeError):
+    """Polars panicked on the data."""
+
+
+@contextmanager
+def panics_as_errors() -> Iterator[None]:
+    """Raise a panic inside the block as a `PanicError`."""
+    try:
+        yield
+    except PanicException as panic:
+        raise PanicError(str(panic)) from None
+
+
+def first_line(error: BaseException) -> str:
+    """Format an error in one line: its type and the start of its message."""
+    return f"{type(error).__name__}: {str(error).splitlines()[0][:200]}" if str(error) else type(error).__name__

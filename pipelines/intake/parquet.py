@@ -12,9 +12,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pipelines.intake.columns import Contract, match_header
-from pipelines.intake.faults import Fault
+from pipelines.intake.faults import Fault, first_line, panics_as_errors
 from pipelines.intake.text import parse_numbers
-from pipelines.storage.panics import first_line, panics_as_errors
 
 MAX_ROWS = 2_000_000
 MAX_BYTES = 1 << 30

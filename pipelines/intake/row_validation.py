@@ -7,11 +7,9 @@ from datetime import UTC, datetime, time, timedelta
 
 import polars as pl
 
-from pipelines.intake.columns import AIRPORTS, PHASE, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS
+from pipelines.intake.columns import AIRPORTS, PHASE, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS, pressure_over_atmosphere
 from pipelines.intake.faults import MAX_ROWS_LISTED, Fault, first_and_rest
-from pipelines.intake.fields import EARLIEST, flight_day, flight_tail, is_history
-from pipelines.intake.landing_file import LandingFile
-from pipelines.intake.laws import pressure_over_atmosphere
+from pipelines.intake.landing_file import EARLIEST, LandingFile, flight_day, flight_tail, is_history
 from pipelines.intake.unit_slips import OUTSIDE, find_unit_slips
 
 EARLY, LATE = timedelta(hours=3), timedelta(hours=48)

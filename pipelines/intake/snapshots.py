@@ -8,14 +8,12 @@ import polars as pl
 
 from hdt_core.tables.raw import RawSnapshots
 from pipelines.intake.columns import PACK_FILES, SIGNAL_COLUMNS, WORDS, Contract
-from pipelines.intake.faults import NO_FAULTS, REASONS, Fault, limit_values
-from pipelines.intake.fields import flight_day, flight_tail, to_utc, zone_note
-from pipelines.intake.landing_file import LandingFile
+from pipelines.intake.faults import NO_FAULTS, REASONS, Fault, first_line, limit_values, panics_as_errors
+from pipelines.intake.landing_file import LandingFile, flight_day, flight_tail, to_utc, zone_note
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.readers import readers
 from pipelines.intake.row_validation import validate_rows
 from pipelines.intake.text import TEXT_INDEX, Text, open_text, to_columns
-from pipelines.storage.panics import first_line, panics_as_errors
 
 NO_ROWS = pl.DataFrame(schema=RawSnapshots.types() | {"row_in_file": pl.Int64})
 ROW_COLUMNS = NO_ROWS.columns

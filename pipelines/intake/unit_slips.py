@@ -17,8 +17,16 @@ from numpy.typing import NDArray
 
 from hdt_core.physics.air import GAMMA, R_J_KG_K, mach_from_pressures, standard_pressure_pa
 from hdt_core.physics.model import Array
-from pipelines.intake.columns import POUND_KG, PSI_PA, SIGNAL_COLUMNS, SIGNAL_NAMES, ZERO_CELSIUS_K
-from pipelines.intake.laws import HIGHEST, law_values, violations
+from pipelines.intake.columns import (
+    HIGHEST,
+    POUND_KG,
+    PSI_PA,
+    SIGNAL_COLUMNS,
+    SIGNAL_NAMES,
+    ZERO_CELSIUS_K,
+    law_values,
+    violations,
+)
 
 PACK = ("file_index", "flight_id", "pack")
 BROKEN_SHARE, HOLDING_SHARE = 0.7, 0.12

@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from hdt_core.loading import UserError
-from pipelines.storage import postgres
+from pipelines.storage.database import fleet_lock
 from pipelines.storage.files import narrow_umask
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import notify_file
@@ -55,7 +55,7 @@ def lock_home(home: Path) -> Iterator[None]:
         lock.write(str(os.getpid()))
         lock.flush()
         url = Ledger(home).url
-        with postgres.fleet_lock(url) if url else nullcontext() as other_writer:
+        with fleet_lock(url) if url else nullcontext() as other_writer:
             if other_writer:
                 raise BusyError(_busy(other_writer, "this fleet"))
             yield

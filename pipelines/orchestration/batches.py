@@ -10,7 +10,7 @@ from operator import itemgetter
 import polars as pl
 
 from dagster_batched.runs import range_tags
-from pipelines import partitions
+from pipelines.resources import aircraft_key, cell_keys, flight_key
 
 CELLS_A_RUN = 1_000  # flights a run that reads files takes at most: memory grows neither with the fleet nor its history
 Cell = tuple[str, str]
@@ -41,7 +41,7 @@ class PartitionBatch:
 
     def partition_keys(self) -> Sequence[str]:
         """Return Dagster's partition keys."""
-        return partitions.cell_keys(self.cells) if self.flights[0] else self.aircraft
+        return cell_keys(self.cells) if self.flights[0] else self.aircraft
 
     def parts(self) -> list["PartitionBatch"]:
         """Split into runs of one aircraft each or, of one aircraft, into halves; none where there is one cell."""
@@ -170,5 +170,5 @@ def by_aircraft(cells: pl.DataFrame) -> dict[str, set[str]]:
     """Group flight keys by aircraft key, from operator, tail and flight_id (empty above flights)."""
     flights: dict[str, set[str]] = {}
     for o, t, f in cells.select("operator", "tail", "flight_id").rows():
-        flights.setdefault(partitions.aircraft_key(o, t), set()).add(partitions.flight_key(f))
+        flights.setdefault(aircraft_key(o, t), set()).add(flight_key(f))
     return flights

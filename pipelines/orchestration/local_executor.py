@@ -12,8 +12,6 @@ from multiprocessing import forkserver, get_context, resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hdt_core.loading import UserError
-
 if TYPE_CHECKING:  # Dagster takes seconds to load, and a night with nothing new needs none of it
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
 
@@ -25,10 +23,6 @@ WORKER = "pipelines.orchestration.worker"
 def cores() -> int:
     """Count cores that this process may use."""
     return len(os.sched_getaffinity(0))
-
-
-class EngineError(UserError):
-    """Runs can't be sent out to other machines; the message gives reason and remedy in one line."""
 
 
 def sends_out(home: Path) -> bool:

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Protocol
 
 import polars as pl
 
-from pipelines.intake.refusals import ignored_entries
-from pipelines.intake.scan import scan
+from pipelines.intake.faults import ignored_entries
+from pipelines.intake.landing import scan
 from pipelines.lineage import STAGES, Stage, Step, steps
 from pipelines.orchestration.around_night import call_hooks, notify_receivers
-from pipelines.orchestration.local_executor import EngineError, LocalExecutor, equivalent_flights, sends_out
-from pipelines.repair import repair_home
-from pipelines.storage import history, ledger_copy
+from pipelines.orchestration.local_executor import LocalExecutor, equivalent_flights, sends_out
+from pipelines.repair import repair_home, replace_damaged_history
 from pipelines.storage.delta import DamageError
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import find_catalog_fault, publish
+from pipelines.storage.seal import copy_ledger
 from pipelines.storage.settings import HOME_SETTINGS, notify_file, retention
 from pipelines.storage.store import Store
 from pipelines.versions import CELL, find_stale_cells, recipe_version, restrict_ledger
@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from dagster import OpExecutionContext
 
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
-    from pipelines.orchestration.remote_executor import RemoteExecutor
-    from pipelines.orchestration.runs import Runner
+    from pipelines.orchestration.runs import RemoteExecutor, Runner
 
 
 class Progress(Protocol):
@@ -169,7 +168,7 @@ def run_night(
     )
     ledger.note_night((start, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
     if night.idle:  # else once the catalog is published
-        ledger_copy.copy_ledger(ledger, idle=True)
+        copy_ledger(ledger, idle=True)
     return night
 
 
@@ -208,7 +207,7 @@ class _Chain:
 
     def send_out(self) -> None:
         """Switch to other machines, once the runs that a killed night had sent them have ended."""
-        from pipelines.orchestration.remote_executor import RemoteExecutor
+        from pipelines.orchestration.runs import EngineError, RemoteExecutor
 
         if self.parent_run:
             raise EngineError("a night that is itself a run would wait for a worker that waits behind it; use cron")
@@ -223,7 +222,7 @@ class _Chain:
     def step(self, step: Step) -> None:
         """Update a step's stale stages and those that follow from them."""
         # a new model of the fleet makes every cell stale
-        only_changed = self.settled_version == recipe_version(self.ledger, STAGES)
+        only_changed = bool(self.settled_version) and self.settled_version == recipe_version(self.ledger, STAGES)
         cells = {stage.name: self._stale_cells(stage, only_changed) for stage in step.stages}
         tables = step.tables([name for name, stale in cells.items() if stale.height])
         if not tables:
@@ -273,7 +272,7 @@ class _Chain:
         from pipelines.assets import asset_definitions
         from pipelines.orchestration.runs import BY, Runner, launched_by, open_instance
 
-        if self.parent_run is None and (anew := history.replace_damaged_history(self.home, whole=False)):
+        if self.parent_run is None and (anew := replace_damaged_history(self.home, whole=False)):
             self.repairs.append(anew)
         defs = asset_definitions(self.landing.resolve(), self.home.resolve())
         instance = self.parent_run.instance if self.parent_run else open_instance(self.home)

@@ -1,6 +1,12 @@
-"""Dagster runs: the instance that records them, one run of a batch of cells, its failures."""
+"""Dagster runs: the instance that records them, one run of a batch of cells, its failures; runs on other machines.
 
-from collections.abc import Mapping
+The engine is set in `<home>/dagster/dagster.yaml` (docs/storage.md). Dagster's daemon launches runs on other machines,
+finds the lost ones and starts them again; here they are submitted and awaited.
+"""
+
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -8,15 +14,26 @@ from pathlib import Path
 import dagster as dg
 import polars as pl
 
-from dagster_batched import instance
-from dagster_batched.coalescing import CoalescingEventLog
-from dagster_batched.materialization import report_runless
+from dagster_batched.event_log import CoalescingEventLog
 from dagster_batched.partitions import cached_ranges
-from dagster_batched.runs import InterruptedRunError, execute, failure_of, origins, was_interrupted
-from pipelines import partitions
-from pipelines.assets.published import VIEWS
+from dagster_batched.runs import (
+    InterruptedRunError,
+    daemon_answers,
+    execute,
+    failure_of,
+    finished_runs,
+    is_active,
+    origins,
+    report_runless,
+    submit,
+    successor,
+    was_interrupted,
+)
+from dagster_batched.runs import open_instance as open_instance_in
+from hdt_core.loading import UserError
+from pipelines.assets import VIEWS
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, split_message
-from pipelines.partitions import NIGHT
+from pipelines.resources import AIRCRAFT, FLIGHTS, NIGHT, aircraft_key, aircraft_of, flight_key
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import publish
 
@@ -31,9 +48,13 @@ _CONFIG_NOTE = "Delete this line to make the file yours. Everything lies below t
 _UNFINISHED = [dg.DagsterRunStatus.NOT_STARTED, dg.DagsterRunStatus.STARTING, dg.DagsterRunStatus.STARTED]
 
 
+class EngineError(UserError):
+    """Runs can't be sent out to other machines; the message gives reason and remedy in one line."""
+
+
 def open_instance(home: Path) -> dg.DagsterInstance:
     """Open Dagster's own storage below `<home>/dagster`; a `dagster.yaml` of the user's is used as it is."""
-    return instance.open_instance(home.resolve() / "dagster", _CONFIG_MARK, _CONFIG_NOTE)
+    return open_instance_in(home.resolve() / "dagster", _CONFIG_MARK, _CONFIG_NOTE)
 
 
 def launched_by(run: dg.DagsterRun) -> dict[str, str]:
@@ -66,16 +87,16 @@ class Runner:
 
     def register(self, cells: pl.DataFrame) -> None:
         """Add a partition for every new aircraft and flight (operator, tail, flight_id), in order of departure."""
-        aircraft = {partitions.aircraft_key(o, t) for o, t in cells.select("operator", "tail").unique().rows()}
-        flights = {partitions.flight_key(f) for f in cells["flight_id"].unique() if f}
-        for definition, keys in ((partitions.AIRCRAFT, aircraft), (partitions.FLIGHTS, flights)):
+        aircraft = {aircraft_key(o, t) for o, t in cells.select("operator", "tail").unique().rows()}
+        flights = {flight_key(f) for f in cells["flight_id"].unique() if f}
+        for definition, keys in ((AIRCRAFT, aircraft), (FLIGHTS, flights)):
             new_keys = sorted(keys - set(self._keys(definition)))
             if new_keys:
                 self.instance.add_dynamic_partitions(str(definition.name), new_keys)
 
     def partition_index(self, cells: pl.DataFrame | None = None) -> PartitionIndex:
         """Return the present partitions and the flights of each aircraft, or of the aircraft of `cells` only."""
-        aircraft, flights = (self._keys(d) for d in (partitions.AIRCRAFT, partitions.FLIGHTS))
+        aircraft, flights = (self._keys(d) for d in (AIRCRAFT, FLIGHTS))
         ledger = self.ledger if cells is None else self.ledger.of(cells.select("operator", "tail").unique().rows())
         return PartitionIndex(aircraft, flights, by_aircraft(ledger.flights_on_file()))
 
@@ -119,7 +140,7 @@ class Runner:
             return f"flights {first} to {last}"
         if not first:
             return ""
-        aircraft = partitions.aircraft_of(batch.label)
+        aircraft = aircraft_of(batch.label)
         flight = f"{aircraft[1]}_{first}"
         files = sorted(self.ledger.of([aircraft]).flight_files().filter(flight_id=flight)["path"])
         return f"{flight} ({', '.join(files)})"
@@ -158,3 +179,77 @@ class Runner:
         log = self.instance.event_log_storage
         if isinstance(log, CoalescingEventLog) and batch.cells:
             log.mark_failed_partitions(run_id, batch.partition_keys())
+
+
+LOOK_S = 0.5
+AHEAD = 500  # runs queued at once: Dagster scans its whole queue each time
+
+
+class RemoteExecutor:
+    """Execute batches on other machines, by the same methods as `LocalExecutor`."""
+
+    ranges = True  # several machines want several runs, and a run's tags name a range
+
+    def __init__(self, runner: Runner) -> None:
+        self.runner, self.instance = runner, runner.instance
+
+    def settle(self) -> None:
+        """Wait for runs that a killed night had sent out, so that none is made twice; cancel those not started."""
+        if not daemon_answers(self.instance):
+            raise EngineError(f"no Dagster daemon answers; start one: `dagster-daemon run --module-name {LOCATION}`")
+        for run in self.instance.get_runs(dg.RunsFilter(statuses=[dg.DagsterRunStatus.NOT_STARTED], tags=NIGHT)):
+            self.instance.report_run_canceled(run, "its night was stopped before it was sent out")
+        while is_active(self.instance, NIGHT):
+            time.sleep(LOOK_S)
+
+    def process_count(self, flights: int) -> int:
+        """Return 1: the number of workers is set elsewhere, and runs are small."""
+        return 1
+
+    def prepare(self, flights: int) -> None:
+        """Do nothing: the workers run already."""
+
+    def should_distribute(self, batches: list[PartitionBatch], flights: int) -> bool:
+        """Send out whatever there is, for the night's own machine may be a small one."""
+        return bool(batches)
+
+    def make(self, tables: list[str], batches: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
+        """Make the batches in any order and yield each result when it is ready.
+
+        A run that Dagster retries is tracked under its new id; one of several aircraft that failed for good is replaced
+        by a run of each.
+        """
+        job, unsent = self.runner.job(tables), deque(batches)
+        running, whole_batches = dict[str, PartitionBatch](), set(batches)
+        while unsent or running:
+            while unsent and len(running) < AHEAD:
+                batch = unsent.popleft()
+                running[self._send(job, batch, label)] = batch
+            for run in finished_runs(self.instance, running):
+                batch = running.pop(run.run_id)
+                if retry_id := successor(run):
+                    running[retry_id] = batch
+                    continue
+                failure = None if run.is_success else self._failure_message(run, batch)
+                repairs: tuple[str, ...] = ()
+                if failure and len(batch.aircraft) > 1:
+                    unsent.extend(batch.parts())
+                    repairs, failure = split_message(label, batch, failure), None
+                cells = batch.size if batch in whole_batches else 0  # cells of parts were counted with the whole batch
+                yield BatchResult(cells, 1, {f"{label}: {batch.label}": failure} if failure else {}, repairs)
+            time.sleep(LOOK_S)
+
+    def close(self) -> None:
+        """Do nothing: the workers outlive the night."""
+
+    def _send(self, job: dg.JobDefinition, batch: PartitionBatch, label: str) -> str:
+        """Submit one run; return its id."""
+        run = self.runner.create(job, batch, label)
+        submit(self.instance, run)
+        return run.run_id
+
+    def _failure_message(self, run: dg.DagsterRun, batch: PartitionBatch) -> str:
+        self.runner.show_failed(run.run_id, batch)
+        kinds = {dg.DagsterEventType.STEP_FAILURE, dg.DagsterEventType.RUN_FAILURE, dg.DagsterEventType.RUN_CANCELED}
+        events = [entry.get_dagster_event() for entry in self.instance.all_logs(run.run_id, of_type=kinds)]
+        return failure_of(events) or next((e.message for e in reversed(events) if e.message), run.status.value)

@@ -8,8 +8,7 @@ import duckdb
 
 from hdt_core.alerts.alerts import Trial, trials
 from pipelines.storage.catalog import connect
-from pipelines.storage.headers import read_header
-from pipelines.storage.publication import order_views, views
+from pipelines.storage.publication import read_header, views
 from pipelines.storage.settings import alert_limits
 
 OUTCOME_VIEWS = ("alert_hit_rates", "alert_lead_times")
@@ -60,7 +59,7 @@ def _view_definitions() -> list[tuple[str, str]]:
         name = queue.pop()
         names.add(name)
         queue += set(read_header(definitions[name]).sources) & set(definitions) - names
-    return order_views({name: definitions[name] for name in names})
+    return [(name, sql) for name, sql in definitions.items() if name in names]
 
 
 def _replace(con: duckdb.DuckDBPyConnection, name: str, rows: Any) -> None:

@@ -20,9 +20,8 @@ from polars.exceptions import PolarsError
 
 from hdt_core.loading import UserError
 from hdt_core.tables import TABLES
-from pipelines.storage import postgres
-from pipelines.storage.database import Database, query_value
-from pipelines.storage.panics import message_of
+from pipelines.storage.database import URL, Database, query_value
+from pipelines.storage.objects import message_of
 
 FILE = "cases.sqlite"
 *FAULTS, NO_FAULT = FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
@@ -50,7 +49,7 @@ class CaseLog:
     """The log of one home."""
 
     home: Path
-    url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
+    url: str = field(default_factory=lambda: os.environ.get(URL, ""), repr=False)  # may name a password
 
     @property
     def _database(self) -> Database:

@@ -13,8 +13,7 @@ from typing import Any, Self, cast
 import duckdb
 
 from hdt_core.tables import TABLES
-from pipelines.storage.objects import StoreError
-from pipelines.storage.panics import message_of
+from pipelines.storage.objects import StoreError, message_of
 from pipelines.storage.store import URL, Store
 
 CATALOG = "catalog.duckdb"

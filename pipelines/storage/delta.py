@@ -8,9 +8,10 @@ Any version is readable until its files are vacuumed.
 """
 
 import io
+import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -26,12 +27,13 @@ from deltalake.transaction import (
     create_table_with_add_actions,
 )
 
-from pipelines.storage.files import FILE_NAME, Folder, hash_in, hash_of, pack
-from pipelines.storage.objects import Bucket, StoreError
-from pipelines.storage.panics import message_of
+from pipelines.storage.files import FILE_NAME, LOG, Folder, hash_in, hash_of, pack
+from pipelines.storage.objects import Bucket, StoreError, message_of
 
 StoredShards = Mapping[str, pl.DataFrame]
 """Shards of a table by name, each read on access."""
+Commit = tuple[str, int, int]
+"""Commit of a table's log: name, time in ns, size."""
 Change = Callable[[StoredShards], Iterable[tuple[str, pl.DataFrame | None]]]
 """From the stored shards, the shards to write; None for a shard to remove, since another takes its rows."""
 QUIET = PostCommitHookProperties(create_checkpoint=False, cleanup_expired_logs=False)  # upkeep has its own time
@@ -54,10 +56,10 @@ class _OpenTable(NamedTuple):
 
     log: DeltaTable | None
     shards: dict[str, str]
-    commit: tuple[str, int, int] | None
+    commit: Commit | None
 
     @classmethod
-    def of(cls, log: DeltaTable | None, newest: tuple[str, int, int] | None) -> "_OpenTable":
+    def of(cls, log: DeltaTable | None, newest: Commit | None) -> "_OpenTable":
         if log is None:
             return cls(None, {}, None)
         return cls(log, shards_of(log), newest if newest and newest[0] == f"{log.version():020}.json" else None)
@@ -113,35 +115,51 @@ class Deltas:
         """Return the table's newest or another version; None where there is none."""
         if number is not None:
             return _OpenTable.of(self.open(table, number), None).version
-        current = self._take(table)
+        (current,) = self._take(table)
         self._put_back(table, current)
         return current.version
 
-    def _take(self, table: str) -> _OpenTable:
-        """Take the current table out of the cache, for one writer alone: a commit advances it under its readers."""
-        newest = self.place.newest_commit(table)
-        entry = _open_tables(self.place.url).pop(table, None)
-        return entry if entry and entry.commit == newest else _OpenTable.of(self.open(table), newest)
+    def _take(self, *tables: str) -> list[_OpenTable]:
+        """Take current tables out of the cache, for one writer alone: a commit advances them under their readers."""
+        current = []
+        for table in tables:
+            entry, newest = _open_tables(self.place.url).pop(table, None), self._newest_commit(table)
+            current.append(entry if entry and entry.commit == newest else _OpenTable.of(self.open(table), newest))
+        return current
+
+    def _newest_commit(self, table: str) -> Commit | None:
+        """Find the newest commit of a table's log; None where there is none, or it would take as long as opening it."""
+        if isinstance(self.place, Bucket):
+            return None
+        try:
+            log = os.scandir(self.place.root / table / LOG)
+            newest = max((f for f in log if f.name.endswith(".json")), key=lambda f: f.name)
+            now = newest.stat()
+        except (FileNotFoundError, ValueError):
+            return None
+        return newest.name, now.st_mtime_ns, now.st_size
 
     def _put_back(self, table: str, current: _OpenTable) -> None:
         if current.commit is not None:
             _open_tables(self.place.url)[table] = current
 
-    def sources(self, table: str, shards: Iterable[str] | None = None) -> list[str]:
-        """Verify the files of all or some shards and return their places; of a folder's name, all below it."""
-        files = self.shards(table).items()
-        prefixes = None if shards is None else tuple(f"{s}/" for s in shards)
-        return sorted(self.verify(f"{table}/{f}") for s, f in files if prefixes is None or f"{s}/".startswith(prefixes))
+    def scan(
+        self, table: str, folders: Iterable[str] | Callable[[Collection[str]], Iterable[str]] | None = None
+    ) -> pl.LazyFrame | None:
+        """Scan the table, or some folders or shards of it, as one lazy frame; None where nothing is stored.
 
-    def scan(self, table: str, shards: Iterable[str] | None = None) -> pl.LazyFrame | None:
-        """Scan the table, or some folders of it, as one lazy frame; None where nothing is stored.
+        `folders` names them, or is a function that chooses them from the names of the stored shards.
 
         Raises
         ------
         DamageError
             A file is missing or its content is not what was written.
         """
-        sources = self.sources(table, shards)
+        files = self.shards(table)
+        if folders is not None:
+            prefixes = tuple(f"{folder}/" for folder in (folders(files) if callable(folders) else folders))
+            files = {shard: file for shard, file in files.items() if f"{shard}/".startswith(prefixes)}
+        sources = sorted(self.verify(f"{table}/{file}") for file in files.values())
         if not sources:
             return None
         options = self.place.options or None
@@ -150,14 +168,14 @@ class Deltas:
     def change(self, table: str, change: Change) -> Version | None:
         """Write shards of a table in one commit, all or none; the version that holds them."""
         while True:
-            current = self._take(table)
+            (current,) = self._take(table)
             content = self._write(table, change(_ShardReader(self, table, current.shards)), current.shards)
             if content.added or content.removed:
                 log = current.log
-                log = self._begin(table, content) if log is None else self._commit(table, log, content)
-                if log is None:
+                advanced = self._begin(table, content) if log is None else self._commit(table, log, content)
+                if advanced is None:
                     continue
-                current = _OpenTable.of(log, self.place.newest_commit(table))
+                current = advanced
             self._put_back(table, current)
             return current.version
 
@@ -165,11 +183,22 @@ class Deltas:
         """Write some shards of a table whole, in one commit."""
         return self.change(table, lambda _: shards.items())
 
+    def write_to_each(self, shard: str, frames: Mapping[str, pl.DataFrame]) -> dict[str, Version]:
+        """Write one shard of several tables where it is not stored as it is; the newest version of each."""
+        files, versions = [pack(shard, frame).name for frame in frames.values()], dict[str, Version]()
+        for table, file, current in zip(frames, files, self._take(*frames), strict=True):
+            self._put_back(table, current)
+            is_stored = current.shards.get(shard) == file
+            version = current.version if is_stored else self.write(table, {shard: frames[table]})
+            assert version is not None
+            versions[table] = version
+        return versions
+
     def remove_files(self, table: str, files: Iterable[str]) -> None:
         """Remove damaged files from the table."""
-        log, names = self.open(table), set(files)
+        log, names, now_ms = self.open(table), set(files), _now_ms()
         if log is not None and (current := names & set(shards_of(log).values())):
-            self._commit(table, log, _CommitContent([], [], [_remove_action(file) for file in sorted(current)]))
+            self._commit(table, log, _CommitContent([], [], [RemoveAction(f, True, now_ms) for f in sorted(current)]))
 
     def read_file(self, path: str) -> bytes:
         """Read a data file whole and check its hash."""
@@ -192,7 +221,7 @@ class Deltas:
         self, table: str, shards: Iterable[tuple[str, pl.DataFrame | None]], files: Mapping[str, str]
     ) -> _CommitContent:
         """Write the changed shards of a table, one after the other; a commit is yet to name their files."""
-        content, fields = _CommitContent([], [], []), dict[str, Field]()
+        content, fields, now_ms = _CommitContent([], [], []), dict[str, Field](), _now_ms()
         for shard, frame in shards:
             name = files.get(shard)
             if frame is not None:
@@ -201,9 +230,9 @@ class Deltas:
                 if file.name == name:
                     continue
                 self.place.put(f"{table}/{file.name}", file.content)
-                content.added.append(AddAction(file.name, len(file.content), {}, _now_ms(), True, file.stats))
+                content.added.append(AddAction(file.name, len(file.content), {}, now_ms, True, file.stats))
             if name is not None:
-                content.removed.append(_remove_action(name))
+                content.removed.append(RemoveAction(name, True, now_ms))
         return content._replace(columns=list(fields.values()))
 
     def _unreadable(self, table: str, error: Exception) -> StoreError:
@@ -216,7 +245,7 @@ class Deltas:
         self.place.mark_suspect()
         return DamageError(f"{fault}; `hdt nightly` makes it again")
 
-    def _begin(self, table: str, content: _CommitContent) -> DeltaTable | None:
+    def _begin(self, table: str, content: _CommitContent) -> _OpenTable | None:
         """Make a table's first commit; None where another process began it."""
         sys.audit("hdt.before_commit")
         try:
@@ -235,9 +264,9 @@ class Deltas:
             return None
         sys.audit("hdt.after_commit")
         self.place.sync_commit(table, 0)
-        return self.open(table)
+        return _OpenTable.of(self.open(table), self._newest_commit(table))
 
-    def _commit(self, table: str, log: DeltaTable, content: _CommitContent) -> DeltaTable | None:
+    def _commit(self, table: str, log: DeltaTable, content: _CommitContent) -> _OpenTable | None:
         """Make one commit; None where another came first."""
         sys.audit("hdt.before_commit")
         present = {f.name for f in log.schema().fields}
@@ -253,7 +282,7 @@ class Deltas:
         sys.audit("hdt.after_commit")
         log.update_incremental()
         self.place.sync_commit(table, log.version())
-        return log
+        return _OpenTable.of(log, self._newest_commit(table))
 
 
 @dataclass(frozen=True)
@@ -267,6 +296,9 @@ class _ShardReader(StoredShards):
     def __getitem__(self, shard: str) -> pl.DataFrame:
         return pl.read_parquet(io.BytesIO(self.tables.read_file(f"{self.table}/{self.files[shard]}")))
 
+    def __contains__(self, shard: object) -> bool:  # inherited, it would read the file
+        return shard in self.files
+
     def __iter__(self) -> Iterator[str]:
         return iter(self.files)
 
@@ -278,10 +310,6 @@ def shards_of(table: DeltaTable) -> dict[str, str]:
     """Map each shard of a table to its file, below the table's folder."""
     paths = pl.DataFrame(table.get_add_actions(flatten=True))["path"].to_list()
     return {match["shard"]: path for path in paths if (match := FILE_NAME.fullmatch(path))}
-
-
-def _remove_action(file: str) -> RemoveAction:
-    return RemoveAction(file, True, _now_ms())
 
 
 def _now_ms() -> int:

@@ -157,16 +157,6 @@ class Folder:
         """Note that every file has been checked or repaired."""
         (self.root / _SUSPECT).unlink(missing_ok=True)
 
-    def newest_commit(self, table: str) -> tuple[str, int, int] | None:
-        """Find the newest commit of a table's log: name, time in ns, size; None where there is none."""
-        try:
-            log = os.scandir(self.root / table / LOG)
-            newest = max((f for f in log if f.name.endswith(".json")), key=lambda f: f.name)
-            now = newest.stat()
-        except (FileNotFoundError, ValueError):
-            return None
-        return newest.name, now.st_mtime_ns, now.st_size
-
     def sync_commit(self, table: str, version: int) -> None:
         """Sync a commit, the one before it and the log's own name to disk: Delta Lake's writer does not."""
         log = self.root / table / LOG

@@ -13,18 +13,17 @@ import os
 import re
 import sqlite3
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from itertools import chain
+from itertools import chain, starmap
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import polars as pl
 
-from pipelines.storage import postgres
-from pipelines.storage.database import Database, Result
+from pipelines.storage.database import URL, Database, Result
 
 _SCHEMA = """
 create table if not exists files (
@@ -68,6 +67,10 @@ _SET_VERSION = (
 )
 
 
+_Query = tuple[str, list[str]]
+"""SQL and its arguments."""
+
+
 class FileRecord(NamedTuple):
     """A file as it was registered; `touched_ns` only if it was read long enough after it was last touched."""
 
@@ -86,7 +89,7 @@ class Ledger:
 
     home: Path
     only: tuple[tuple[str, str], ...] | None = None
-    url: str = field(default_factory=lambda: os.environ.get(postgres.URL, ""), repr=False)  # may name a password
+    url: str = field(default_factory=lambda: os.environ.get(URL, ""), repr=False)  # may name a password
     read_only: bool = False
     flights: tuple[str, ...] | None = None
 
@@ -108,15 +111,11 @@ class Ledger:
             with closing(sqlite3.connect(self.home / FILE, timeout=60)) as con:
                 con.execute("pragma wal_checkpoint(truncate)")
 
-    @contextmanager
-    def _write(self, *, settled: bool = False) -> Iterator[Any]:
+    def _write(self, *, settled: bool = False) -> AbstractContextManager[Any]:
         """Open a transaction that writes; unless `settled`, any cell may be stale after it."""
         if not self.url:
             (self.home / HASH_FILE).unlink(missing_ok=True)
-        with self._database.transaction() as con:
-            if not settled:
-                con.execute("delete from settled")
-            yield con
+        return self._database.transaction("" if settled else "delete from settled")
 
     def _query(self, query: Callable[[Any], Result]) -> Result:
         """Run a query on a connection."""
@@ -125,19 +124,25 @@ class Ledger:
         with self._database.transaction(write=False) as con:
             return query(con)
 
-    def _cells(self, sql: str, table: str, arguments: Iterable[str] = (), end: str = "") -> pl.DataFrame:
-        """Run a query that ends in a condition, and then in `end`, restricted to the ledger's aircraft and flights."""
+    def _restricted(self, sql: str, table: str, arguments: Iterable[str] = (), end: str = "") -> _Query:
+        """Restrict a query that ends in a condition, and then in `end`, to the ledger's aircraft and flights."""
         if self.only is None:
-            return self._frame(f"{sql} {end}", [*arguments])
+            return f"{sql} {end}", [*arguments]
         pairs = ",".join(["(?, ?)"] * len(self.only))
         aircraft = f"select * from (values {pairs}) as aircraft"  # SQLite would scan the whole fleet for bare values
         query = f"{sql} and ({table}.operator, {table}.tail) in ({aircraft})"
         flights = self.flights if self.flights is not None and table != "files" else ()
         query += f" and {table}.flight_id in ({','.join('?' * len(flights))})" if flights else ""
-        return self._frame(f"{query} {end}", [*arguments, *chain.from_iterable(self.only), *flights])
+        return f"{query} {end}", [*arguments, *chain.from_iterable(self.only), *flights]
 
-    def _frame(self, sql: str, arguments: list[str]) -> pl.DataFrame:
-        return self._query(lambda con: _as_frame(con.execute(sql, arguments)))
+    def _cells(self, sql: str, table: str, arguments: Iterable[str] = ()) -> pl.DataFrame:
+        (frame,) = self._frames([self._restricted(sql, table, arguments)])
+        return frame
+
+    def _frames(self, queries: list[_Query]) -> list[pl.DataFrame]:
+        """Run queries in one transaction; counts are text."""
+        results = self._query(lambda con: [(c.description, c.fetchall()) for c in starmap(con.execute, queries)])
+        return [_as_frame([column[0] for column in columns], rows) for columns, rows in results]
 
     def file_records(self) -> dict[str, FileRecord]:
         """Map every file on record, by path, to its record."""
@@ -186,7 +191,7 @@ class Ledger:
 
     def cells(self, asset: str) -> pl.DataFrame:
         """List the stored cells of an asset: operator, tail, flight_id (empty above flights), version."""
-        return self._cells("select operator, tail, flight_id, version from done where asset = ?", "done", [asset])
+        return self.cells_of([asset])[asset]
 
     def lines(self, asset: str) -> pl.DataFrame:
         """Join all stored cells of an asset into one text for each aircraft: operator, tail, lines.
@@ -194,10 +199,17 @@ class Ledger:
         A cell's line is `operator=tail=flight_id=version`; lines come in any order, separated by `|`. The database
         joins them, since a row a flight would take twice as long.
         """
+        return self.cells_of([], [asset])[asset]
+
+    def cells_of(self, assets: Iterable[str], joined: Iterable[str] = ()) -> dict[str, pl.DataFrame]:
+        """Read the `cells` of some assets and the `lines` of others in one transaction."""
+        cells = "select operator, tail, flight_id, version from done where asset = ?"
         fold = "string_agg" if self.url else "group_concat"
         line = "operator || '=' || tail || '=' || flight_id || '=' || version"
-        query = f"select operator, tail, {fold}({line}, '|') as lines from done where asset = ?"
-        return self._cells(query, "done", [asset], "group by operator, tail")
+        lines = f"select operator, tail, {fold}({line}, '|') as lines from done where asset = ?"
+        queries = {a: self._restricted(cells, "done", [a]) for a in assets}
+        queries |= {a: self._restricted(lines, "done", [a], "group by operator, tail") for a in joined}
+        return dict(zip(queries, self._frames([*queries.values()]), strict=True))
 
     def mark(self, asset: str, cells: pl.DataFrame) -> None:
         """Record that cells (operator, tail, flight_id, version) of an asset are stored and synced to disk."""
@@ -221,7 +233,7 @@ class Ledger:
 
     def changed_cells(self) -> pl.DataFrame:
         """List cells of files that came since `settle`: operator, tail, flight_id (empty for files without flights)."""
-        return self._frame("select operator, tail, flight_id from moved", [])
+        return self._frames([("select operator, tail, flight_id from moved", [])])[0]
 
     def is_settled(self, version: str) -> bool:
         """Return whether no cell is stale under this version of the stages."""
@@ -238,7 +250,7 @@ class Ledger:
 
     def nights(self) -> pl.DataFrame:
         """List all nights, oldest first, counts as text."""
-        return self._frame(f"select * from nights order by {'ctid' if self.url else 'rowid'}", [])
+        return self._frames([(f"select * from nights order by {'ctid' if self.url else 'rowid'}", [])])[0]
 
     def note_snapshot(self, versions: dict[str, int]) -> None:
         """Record the versions of the tables that are published now."""
@@ -278,8 +290,6 @@ class Ledger:
             con.execute("delete from night_versions where asset = ?", [asset])
 
 
-def _as_frame(cursor: Any) -> pl.DataFrame:
-    """Fetch all rows of a cursor, counts as text."""
-    names = [c[0] for c in cursor.description]
+def _as_frame(names: list[str], rows: list[tuple[Any, ...]]) -> pl.DataFrame:
     types = {n: pl.Int64 if n in {"size", "mtime_ns"} else pl.String for n in names}
-    return pl.DataFrame(cursor.fetchall(), schema=types, orient="row")
+    return pl.DataFrame(rows, schema=types, orient="row")

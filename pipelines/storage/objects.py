@@ -20,6 +20,11 @@ class StoreError(OSError):
     """The tables can't be read or written; the message is one line."""
 
 
+def message_of(error: BaseException) -> str:
+    """Return the first line of an error's message; for libraries whose messages name the kind of error."""
+    return str(error).strip().splitlines()[0]
+
+
 @dataclass(frozen=True)
 class Bucket:
     """Tables as objects below one URL, `s3://bucket/prefix`."""
@@ -68,9 +73,6 @@ class Bucket:
         """Do nothing: see `suspect`."""
 
     clear_suspicion = mark_suspect
-
-    def newest_commit(self, table: str) -> tuple[str, int, int] | None:
-        """Return None: finding the newest commit would take as long as opening the table."""
 
     def sync_commit(self, table: str, version: int) -> None:
         """Do nothing: an object that the store has accepted is durable."""

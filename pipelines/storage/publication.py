@@ -7,25 +7,89 @@ view would be planned over two hundred Parquet readers, a second of processor be
 
 import re
 import shutil
+from collections import ChainMap
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
 from graphlib import TopologicalSorter
 from importlib import resources
 from pathlib import Path
 
+import dataframely as dy
 import duckdb
 
 from hdt_core.tables import FORMER_COMPONENT_TABLES, FORMER_NAMES, TABLES
 from pipelines.storage.catalog import CATALOG, open_catalog, quote, restrict
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import hash_of, replacing
-from pipelines.storage.headers import MEANINGS, meanings_of_columns, read_header
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.ledger_copy import copy_ledger
-from pipelines.storage.objects import StoreError
-from pipelines.storage.panics import message_of
-from pipelines.storage.seal import write_seal
+from pipelines.storage.objects import StoreError, message_of
+from pipelines.storage.seal import copy_ledger, find_night, remove_expired_daily, write_seal
 from pipelines.storage.store import EMPTY, Store
-from pipelines.storage.upkeep import find_night, remove_expired_daily
+
+_COLUMN = re.compile(r"^([a-z][a-z0-9_]*): (.*)")
+_OTHER = re.compile(r"^(Grain|Reads): (.*)")
+
+
+@dataclass(frozen=True, slots=True)
+class ViewHeader:
+    """Comment on top of a view: its question, its grain and the meaning of the columns that it computes."""
+
+    question: str
+    notes: str
+    grain: str
+    sources: tuple[str, ...]
+    columns: dict[str, str]
+
+
+def read_header(sql: str) -> ViewHeader:
+    """Parse a view's header: first the question, `name: meaning` for a column, `Grain:` and `Reads:` at the end."""
+    question, *lines = [line.removeprefix("--").strip() for line in sql.splitlines() if line.startswith("--")]
+    parts: dict[str, list[str]] = {"": []}
+    key = ""
+    for line in re.sub(r"(Reads:)", r"\n\1", "\n".join(lines)).splitlines():
+        match = _COLUMN.match(line) or _OTHER.match(line)
+        if match:
+            key = match.group(1)
+        parts.setdefault(key, []).append(match.group(2) if match else line)
+    text = {k: " ".join(v).strip() for k, v in parts.items()}
+    sources = tuple(r.strip() for r in text.pop("Reads", "").rstrip(".").split(",") if r.strip())
+    return ViewHeader(question, text.pop(""), text.pop("Grain", "").rstrip("."), sources, text)
+
+
+@cache
+def views() -> dict[str, str]:
+    """Read the SQL of every view by its file's name, each after those that its header lists under `Reads:`."""
+    files = sorted((resources.files("sql") / "views").iterdir(), key=lambda file: file.name)
+    sql = {f.name.removesuffix(".sql"): f.read_text() for f in files if f.name.endswith(".sql")}
+    sources = {name: [s for s in read_header(text).sources if s in sql] for name, text in sql.items()}
+    return {name: sql[name] for name in TopologicalSorter(sources).static_order()}
+
+
+def view_headers() -> dict[str, ViewHeader]:
+    """Parse the header of every view, in the order of `views`."""
+    return {name: read_header(sql) for name, sql in views().items()}
+
+
+def meanings_of_columns() -> dict[str, dict[str, str]]:
+    """Map each view to the meanings of its columns: by its own header, else by the tables and views it reads."""
+    meanings: dict[str, dict[str, str]] = {}
+    for view, header in view_headers().items():
+        tables = [MEANINGS[s.removeprefix("tables.")] for s in header.sources if s.startswith("tables.")]
+        others = [{c: m for c, m in meanings[s].items() if m} for s in header.sources if s in meanings]
+        meanings[view] = dict(ChainMap(header.columns, *tables, *others))
+    return meanings
+
+
+def describe_column(column: dy.Column) -> str:
+    """Describe a declared column: meaning and unit."""
+    metadata = column.metadata or {}
+    return str(metadata.get("meaning", "")) + (f" [{metadata['unit']}]" if metadata.get("unit") else "")
+
+
+MEANINGS = {t: {name: describe_column(c) for name, c in entry.schema.columns().items()} for t, entry in TABLES.items()}
+"""Meaning and unit of each declared column of each table."""
+
 
 HASH = ".catalog.hash"
 Tables = dict[str, tuple[int, list[str]]]
@@ -156,29 +220,32 @@ def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables) -
     paths = [path for _, files in tables.values() for path in files]
     con.execute("insert into tables.files select unnest($paths)", {"paths": paths})
     changed = {table for table, (_, files) in tables.items() if files != old.get(table)}
-    for table in sorted(changed):
-        _base_view(con, table, tables[table][1])
+    names = {table: ", ".join(map(quote, tables[table][1])) for table in sorted(changed)}
+    for table, files in names.items():
+        places = f"list_transform([{files}], lambda file: tables.folder() || file)"
+        select = f"select * from read_parquet({places}, union_by_name = true)"
+        con.execute(f"create or replace view tables.{table} as {select}")
+        add_meanings(con, table)
     return changed
 
 
 def _store_rows(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, changed: set[str]) -> None:
     """Store the rows of the views of `STORED` that some table of `changed` reaches, from files that are checked."""
-    definitions = dict(order_views(views()))
-    read = {name: _tables_below(name, definitions) for name in definitions if name in STORED}
+    sources = {name: header.sources for name, header in view_headers().items()}
+    read = {name: _tables_below(name, sources) for name in sources if name in STORED}
     stale = [name for name in read if read[name] & changed]
     for table in sorted(set[str]().union(*(read[name] for name in stale))):
         for file in tables[table][1]:
             store.tables.verify(file)
     for name in stale:
-        select = definitions[name].partition(f"create or replace view {name} as")[2]
+        select = views()[name].partition(f"create or replace view {name} as")[2]
         con.execute(f"delete from tables.{name}; insert into tables.{name} {select}")
 
 
-def _tables_below(view: str, definitions: dict[str, str]) -> set[str]:
+def _tables_below(view: str, sources: Mapping[str, Collection[str]]) -> set[str]:
     """List the tables that a view reads, itself or through others."""
-    sources = read_header(definitions[view]).sources
-    direct = {s.removeprefix("tables.") for s in sources if s.startswith("tables.")}
-    return direct.union(*(_tables_below(s, definitions) for s in sources if s in definitions))
+    direct = {s.removeprefix("tables.") for s in sources[view] if s.startswith("tables.")}
+    return direct.union(*(_tables_below(s, sources) for s in sources[view] if s in sources))
 
 
 def find_catalog_fault(home: Path) -> str | None:
@@ -225,14 +292,14 @@ def add_views(con: duckdb.DuckDBPyConnection, stored: Collection[str] = ()) -> N
 
     Those of `stored` read a table of their name in the schema `tables`, which is made without rows.
     """
-    headers = {name: read_header(sql) for name, sql in views().items()}
-    for name, sql in order_views(views()):
+    for name, sql in views().items():
         con.execute(sql)
         if name in stored:
             con.execute(f"create table tables.{name} as from {name} limit 0")
             con.execute(f"create or replace view {name} as from tables.{name}")
-    con.execute("; ".join(f"comment on view {name} is {quote(header.question)}" for name, header in headers.items()))
-    meanings = meanings_of_columns(headers)
+    questions = {name: header.question for name, header in view_headers().items()}
+    con.execute("; ".join(f"comment on view {name} is {quote(question)}" for name, question in questions.items()))
+    meanings = meanings_of_columns()
     for view, columns in con.execute(_COLUMNS).fetchall():
         for place in (view, f"tables.{view}") if view in stored else (view,):
             _comment(con, place, {c: meanings[view].get(c, "") for c in columns})
@@ -244,30 +311,10 @@ where database_name = current_database() and schema_name = 'main' and not intern
 group by table_name order by table_name"""
 
 
-def views() -> dict[str, str]:
-    """Read the SQL of every view; the file's name is the view's."""
-    folder = resources.files("sql") / "views"
-    return {f.name.removesuffix(".sql"): f.read_text() for f in folder.iterdir() if f.name.endswith(".sql")}
-
-
-def order_views(sql: dict[str, str]) -> list[tuple[str, str]]:
-    """Order views so that each comes after those that its header lists under `Reads:`."""
-    sources = {name: set(read_header(text).sources) & set(sql) for name, text in sql.items()}
-    return [(name, sql[name]) for name in TopologicalSorter(sources).static_order()]
-
-
 def tables_read() -> list[str]:
     """List the tables that some view reads."""
     names = {t for sql in views().values() for t in re.findall(r"\btables\.(\w+)", sql)}
     return [t for t in TABLES if t in names]
-
-
-def _base_view(con: duckdb.DuckDBPyConnection, table: str, files: list[str]) -> None:
-    """Create `tables.<table>` over its files, below `tables.folder()`."""
-    names = ", ".join(map(quote, files))
-    places = f"list_transform([{names}], lambda file: tables.folder() || file)"
-    con.execute(f"create or replace view tables.{table} as select * from read_parquet({places}, union_by_name = true)")
-    add_meanings(con, table)
 
 
 def add_meanings(con: duckdb.DuckDBPyConnection, table: str, name: str | None = None) -> None:

@@ -1,25 +1,30 @@
-"""Read and write the tables of a home by aircraft and flight, in a folder or an object store."""
+"""Read and write the tables of a home by aircraft and flight, in a folder or an object store.
+
+A table by flight has a file for each month of an aircraft. The write that adds a month folds those that are no longer
+among the newest into files by year, in the same commit, since late flights have become unlikely: after four years a
+seventh of the files.
+"""
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from hdt_core.tables import TABLES
+from hdt_core.tables import TABLES, StoredTable
 from hdt_core.tables.base import OPERATOR, TAIL
 from pipelines.storage.delta import Change, Deltas, StoredShards, Version
 from pipelines.storage.files import Folder, sweep
-from pipelines.storage.months import merge_flights, shards_with
 from pipelines.storage.objects import Bucket, StoreError, bucket
 
 if TYPE_CHECKING:
     import duckdb
+
 
 Aircraft = tuple[str, str]
 FLEET = ("", "")  # the one shard of a table that belongs to the whole fleet
@@ -64,9 +69,10 @@ class Store:
         Columns that were declared after a file was written are null.
         """
         folders = None if aircraft is None else [shard_of(a) for a in aircraft]
-        if folders is not None and flights is not None:
-            folders = shards_with(TABLES[table], folders, flights, self.tables.shards(table))
-        frame = self.tables.scan(table, folders)
+        if folders is None or flights is None:
+            frame = self.tables.scan(table, folders)
+        else:
+            frame = self.tables.scan(table, partial(_shards_with, TABLES[table], folders, flights))
         if frame is None:
             return TABLES[table].schema.create_empty().lazy()
         present = frame.collect_schema()
@@ -107,16 +113,14 @@ class Store:
 
         self.tables.change(table, with_unique_keys)
 
-    def declare(self, table: str) -> Version:
-        """Give the table its columns even while nothing is stored; its newest version."""
-        version = self.tables.write(table, {EMPTY: TABLES[table].schema.create_empty()})  # no commit if nothing changes
-        assert version is not None
-        return version
+    def declare(self, tables: Iterable[str]) -> dict[str, Version]:
+        """Give tables their columns even while nothing is stored; the newest version of each."""
+        return self.tables.write_to_each(EMPTY, {table: TABLES[table].schema.create_empty() for table in tables})
 
     def snapshot(self, versions: Mapping[str, int] | None = None) -> dict[str, tuple[int, list[str]]]:
         """List each table's version and its files; the newest, or some tables at other versions."""
         if versions is None:
-            tables = {t: self.declare(t) for t in TABLES}
+            tables = self.declare(TABLES)
         else:
             tables = {t: v for t in TABLES if t in versions and (v := self.tables.version(t, versions[t]))}
         return {t: (v.number, sorted(f"{t}/{f}" for f in v.shards.values())) for t, v in tables.items()}
@@ -153,3 +157,85 @@ def _refuse_others(table: str, frame: pl.DataFrame, cells: pl.DataFrame) -> None
 
 def _rows_of(frame: pl.DataFrame, aircraft: Aircraft) -> pl.DataFrame:
     return frame if aircraft == FLEET else frame.filter(operator=aircraft[0], tail=aircraft[1])
+
+
+OPEN = 3
+"""Newest months of an aircraft with a file each; late flights seldom reach further back, and then rewrite a year."""
+_MONTH = re.compile(r"\d{4}-\d{2}")
+
+
+def _shards_with(
+    entry: StoredTable, folders: Iterable[str], flights: Iterable[str], stored: Collection[str]
+) -> list[str]:
+    """List shards of some aircraft in which some flights can be; `stored` are those of the whole table."""
+    names = _with_shard(flights, entry)["shard"].unique().sort()
+    pairs = ((f"{folder}/{n}", f"{folder}/{_year(n)}") for folder in folders for n in names)
+    return list(dict.fromkeys(shard if shard in stored else year for shard, year in pairs))
+
+
+def in_shard(name: str) -> pl.Expr:
+    """Return whether a row whose own shard would be the column `shard` can be in the shard `name`."""
+    own = pl.col("shard")
+    return (own == name) | (own.str.contains(f"^{_MONTH.pattern}$") & (own.str.head(4) == name))
+
+
+def without_folded(entry: StoredTable, frames: Mapping[str, pl.DataFrame]) -> dict[str, pl.DataFrame]:
+    """Drop months of an aircraft that are in their year already: a folded file stays until it is vacuumed."""
+    current = {}
+    for shard, frame in frames.items():
+        folder, _, name = shard.rpartition("/")
+        year = frames.get(f"{folder}/{_year(name)}") if _MONTH.fullmatch(name) else None
+        if not _holds(entry, year, name):
+            current[shard] = frame
+    return current
+
+
+def merge_flights(entry: StoredTable, folder: str, flights: Iterable[str], frame: pl.DataFrame) -> Change:
+    """Replace the rows of `flights` in an aircraft's shards by `frame`."""
+    ids = {name: rows["flight_id"] for name, rows in _by_shard(_with_shard(flights, entry)).items()}
+    fresh = _by_shard(frame.with_columns(entry.shard_of))
+
+    def change(shards: StoredShards) -> Iterator[tuple[str, pl.DataFrame | None]]:
+        for shard, names in _targets(entry, folder, ids, fresh, shards).items():
+            months = [s for name in names if (s := f"{folder}/{name}") in shards and s != shard]
+            rows = [entry.conform(shards[s]) for s in (shard, *months) if s in shards]
+            new = [entry.conform(fresh[name]) for name in names if name in fresh]
+            flight_ids = [flight for name in names for flight in ids.get(name, ())]
+            others = [frame.filter(~pl.col("flight_id").is_in(flight_ids)) for frame in rows]
+            if others or new:
+                yield shard, pl.concat([*others, *new], how="diagonal").sort(entry.key)
+                yield from dict.fromkeys(months).items()
+
+    return change
+
+
+def _targets(
+    entry: StoredTable, folder: str, names_to_write: Collection[str], fresh: Collection[str], shards: StoredShards
+) -> dict[str, list[str]]:
+    """Map shards to write to the months (or flights, where a shard is one) whose rows they will hold."""
+    names = {s.removeprefix(f"{folder}/") for s in shards if s.startswith(f"{folder}/")}
+    months = sorted(name for name in names.union(fresh) if _MONTH.fullmatch(name))
+    old, targets = set(months[:-OPEN]), dict[str, list[str]]()
+    for name in sorted(old.union(names_to_write)):
+        year = _year(name)
+        in_year = name in old or (name not in names and _holds(entry, shards.get(f"{folder}/{year}"), name))
+        targets.setdefault(f"{folder}/{year if in_year else name}", []).append(name)
+    return targets
+
+
+def _holds(entry: StoredTable, year: pl.DataFrame | None, month: str) -> bool:
+    return year is not None and bool(year.select((entry.shard_of == month).any()).item())
+
+
+def _year(name: str) -> str:
+    """Name the shard into which a month is folded; any other name is its own."""
+    return name[:4] if _MONTH.fullmatch(name) else name
+
+
+def _by_shard(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    parts = rows.partition_by("shard", as_dict=True, include_key=False)
+    return {str(name): part for (name,), part in parts.items()}
+
+
+def _with_shard(flights: Iterable[Any], entry: StoredTable) -> pl.DataFrame:
+    return pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(entry.shard_of)

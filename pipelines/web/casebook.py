@@ -27,7 +27,7 @@ from pipelines.report.cards import tonight_with_cards
 from pipelines.report.facts import read_facts
 from pipelines.storage.cases import ConflictError
 from pipelines.storage.catalog import catalog_version
-from pipelines.storage.postgres import DatabaseError
+from pipelines.storage.database import DatabaseError
 from pipelines.storage.settings import alert_limits
 from pipelines.web.guard import Guard
 from pipelines.web.html import html_page

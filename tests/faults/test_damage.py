@@ -20,11 +20,11 @@ from zones import drop_fleet, simulated
 
 from benchmarks.fingerprint import fingerprint
 from pipelines.cli.doctor import examine
+from pipelines.repair import replace_damaged_history
 from pipelines.storage import seal
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import LOG
-from pipelines.storage.history import replace_damaged_history
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import HASH, publish
@@ -175,7 +175,8 @@ def test_the_next_night_repairs_it(whole, children, tmp_path, first):
 def rotten(whole: Whole, home: Path, *tables: str) -> list[Path]:
     """A copy of the home with a bit flipped in the middle of a file of each table; these files."""
     shutil.copytree(whole.home, home)
-    files = [home / Store(home).tables.sources(table, ["QQX/Z8"])[-1] for table in tables]
+    shards = {table: Store(home).tables.shards(table) for table in tables}
+    files = [home / "tables" / t / max(f for s, f in shards[t].items() if s.startswith("QQX/Z8/")) for t in tables]
     for file in files:
         flip(file, file.stat().st_size // 3)
     return files

@@ -13,8 +13,8 @@ from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import connect_as_of, publish
+from pipelines.storage.seal import Retention, find_night, remove_expired, retention
 from pipelines.storage.store import Store
-from pipelines.storage.upkeep import Retention, find_night, remove_expired, retention
 
 AIRCRAFT, FLIGHT = ("AQX", "LX-AAA"), "LX-AAA_20240501_01"
 NIGHTS = 4

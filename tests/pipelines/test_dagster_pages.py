@@ -25,10 +25,10 @@ from dagster._core.workspace.load_target import ModuleTarget
 from dagster._daemon.backfill import execute_backfill_iteration
 
 from dagster_batched.runs import execute
-from pipelines.assets.published import VIEWS
+from pipelines.assets import VIEWS
 from pipelines.definitions import build_defs
 from pipelines.orchestration.runs import LOCATION, open_instance, publish_night
-from pipelines.partitions import NIGHT
+from pipelines.resources import NIGHT
 from pipelines.storage.publication import find_catalog_fault
 from pipelines.storage.store import Store
 

@@ -13,18 +13,14 @@ from dagster._core.loader import LoadingContextForTest
 from nights import run
 
 from hdt_core.tables import TABLES
-from pipelines import partitions
+from pipelines import definitions, resources
 from pipelines.assets.stage import CHECK, _check_and_store
 from pipelines.definitions import build_defs
 from pipelines.lineage import LINEAGE, STAGE
-from pipelines.orchestration import jobs
-from pipelines.orchestration.local_executor import EngineError
-from pipelines.orchestration.runs import LOCATION, open_instance
-from pipelines.partitions import NIGHT
-from pipelines.resources import Home
-from pipelines.storage.headers import read_header
+from pipelines.orchestration.runs import LOCATION, EngineError, open_instance
+from pipelines.resources import NIGHT, Home
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.publication import views
+from pipelines.storage.publication import read_header, views
 
 GROUPS = {
     "1_recorder_files", "2_flight_legs", "3_system_model", "4_twin",
@@ -116,12 +112,12 @@ def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing,
 
     def look():
         with dg.build_sensor_context(resources={"home": home}) as context:
-            return list(jobs.landing_zone(context))
+            return list(definitions.landing_zone(context))
 
-    monkeypatch.setattr(jobs, "QUIET_S", 10**12)
+    monkeypatch.setattr(definitions, "QUIET_S", 10**12)
     (fresh,) = look()
     assert "waiting" in fresh.skip_message
-    monkeypatch.setattr(jobs, "QUIET_S", -1)
+    monkeypatch.setattr(definitions, "QUIET_S", -1)
     first, second = look(), look()
     assert first[0].run_key == second[0].run_key
 
@@ -176,7 +172,7 @@ def test_no_cell_is_listed_to_look_up_versions_and_none_shows_as_stale(own_home,
 
 
 def test_a_cells_key_is_the_one_that_dagster_makes():
-    (ours,) = partitions.cell_keys([("AAA:T1", "20260101_02")])
+    (ours,) = resources.cell_keys([("AAA:T1", "20260101_02")])
     stock = dg.MultiPartitionKey({"flight": "20260101_02", "aircraft": "AAA:T1"})
     for other in (stock, pickle.loads(pickle.dumps(ours))):
         assert (ours, type(ours), ours.dimension_keys) == (other, type(other), other.dimension_keys)

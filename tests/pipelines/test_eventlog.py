@@ -15,9 +15,8 @@ from dagster._core.definitions.partitions.context import partition_loading_conte
 from databases import SERVER, new_database
 
 from dagster_batched import report_partitions
-from dagster_batched.instance import open_instance
 from dagster_batched.partitions import valid_keys
-from dagster_batched.runs import range_tags
+from dagster_batched.runs import open_instance, range_tags
 
 KEPT_IN = {
     "sqlite": ("base_dir: {base}/history", "sqlite:///{base}/history/index.db"),
@@ -232,7 +231,7 @@ def fickle(context) -> None:
 @pytest.mark.parametrize("named", [1, 2, 30_000])
 def test_cells_planned_in_vain_are_those_that_stock_finds(new_log, monkeypatch, named):
     """After any event: cells that failed, were made, made and then failed, failed and then made, or wiped."""
-    monkeypatch.setattr("dagster_batched.coalescing._MAX_VALUES", named)
+    monkeypatch.setattr("dagster_batched.event_log._MAX_VALUES", named)
     log = new_log("log")
     in_vain = "get_latest_asset_partition_materialization_attempts_without_materializations"
     with log.instance(STOCK) as instance:

@@ -8,9 +8,9 @@ import polars as pl
 import pytest
 from spoils import Spoil, column, field, fields_of, joined
 
-from pipelines.intake import scan as scan_module
+from pipelines.intake import landing as landing_module
 from pipelines.intake.ingest import ingest_flights
-from pipelines.intake.scan import list_new_files, scan
+from pipelines.intake.landing import list_new_files, scan
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 
@@ -207,13 +207,13 @@ def test_a_file_changed_at_the_same_size_and_time_is_noticed(zone, taken_in):
 @pytest.fixture
 def read_at_leisure(monkeypatch):
     """Every file counts as read long after it was touched."""
-    monkeypatch.setattr(scan_module, "TICK_NS", -60 * 10**9)
+    monkeypatch.setattr(landing_module, "TICK_NS", -60 * 10**9)
 
 
 @pytest.mark.usefixtures("read_at_leisure")
 def test_a_file_is_the_same_while_its_change_time_stands(zone, taken_in, monkeypatch):
     with monkeypatch.context() as within:
-        within.setattr(scan_module, "_digest", None)
+        within.setattr(landing_module, "_digest", None)
         assert list_new_files(zone.landing, zone.ledger)[1] == []
     before = zone.ledger.file_records()
     (zone.landing / CSV).chmod(0o600)
@@ -232,5 +232,5 @@ def test_a_change_time_tells_of_a_change_whatever_clocks_say(zone, taken_in):
 
 def test_files_untouched_since_the_last_night_are_not_read(zone, taken_in, monkeypatch):
     zone.ledger.note_night(("2100-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
-    monkeypatch.setattr("pipelines.intake.scan._digest", None)
+    monkeypatch.setattr("pipelines.intake.landing._digest", None)
     assert list_new_files(zone.landing, zone.ledger)[1] == []

@@ -9,12 +9,10 @@ from spoils import column, field
 
 from hdt_core.tables import TABLES
 from pipelines.intake.ingest import ingest_flights
-from pipelines.intake.landing import list_landing
+from pipelines.intake.landing import list_landing, scan
 from pipelines.intake.logs import read_fleet, read_messages
-from pipelines.intake.scan import scan
 from pipelines.lineage import STAGE
-from pipelines.partitions import PartitionScope
-from pipelines.resources import FrameIO
+from pipelines.resources import FrameIO, PartitionScope
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 from pipelines.versions import find_stale_cells

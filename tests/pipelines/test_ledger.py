@@ -19,7 +19,7 @@ import pytest
 from databases import SERVER, new_database
 
 from pipelines.orchestration import around_night
-from pipelines.storage import postgres
+from pipelines.storage import database
 from pipelines.storage.ledger import FILE, NAMES, Ledger
 
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
@@ -34,7 +34,7 @@ def ledger(request, tmp_path, monkeypatch) -> Iterator[Ledger]:
     if request.param == "postgresql" and not SERVER:
         pytest.skip("HDT_TEST_POSTGRES names no PostgreSQL server")
     with new_database() if request.param == "postgresql" else nullcontext("") as url:
-        monkeypatch.setenv(postgres.URL, url)
+        monkeypatch.setenv(database.URL, url)
         ledger = Ledger(tmp_path)
         ledger.register(FILES, HOLDINGS)
         yield ledger
@@ -145,11 +145,11 @@ SECRET = "s3cr3t-word"
 )
 def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, message, tmp_path, monkeypatch):
     pytest.importorskip("psycopg2")
-    monkeypatch.setenv(postgres.URL, url)
+    monkeypatch.setenv(database.URL, url)
     ledger = Ledger(tmp_path)
-    with pytest.raises(postgres.DatabaseError, match=message) as error:
+    with pytest.raises(database.DatabaseError, match=message) as error:
         ledger.file_records()
-    with pytest.raises(postgres.DatabaseError), around_night.lock_home(tmp_path):
+    with pytest.raises(database.DatabaseError), around_night.lock_home(tmp_path):
         pass
     assert SECRET not in f"{error.value!r} {ledger!r}"
     assert "\n" not in str(error.value)
@@ -158,7 +158,7 @@ def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, m
 @pytest.mark.parametrize(
     ("variable", "message"),
     [
-        (postgres.URL, "hdt: the ledger's database at 127.0.0.1:1/none"),
+        (database.URL, "hdt: the ledger's database at 127.0.0.1:1/none"),
         ("HDT_POSTGRES_URL", "hdt: the database of Dagster's history (dagster.yaml) does not answer: connection to"),
     ],
 )

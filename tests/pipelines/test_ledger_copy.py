@@ -7,9 +7,9 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipelines.storage.history import find_history_fault, replace_damaged_history
+from pipelines.repair import find_history_fault, replace_damaged_history
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.ledger_copy import copy_ledger, find_ledger_fault, repair
+from pipelines.storage.seal import copy_ledger, find_ledger_fault, repair_ledger
 
 CELL = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AAA"], "flight_id": ["f1"], "version": ["v1"]})
 
@@ -43,10 +43,10 @@ def test_a_damaged_ledger_is_told_and_put_back(ledger, damage):
     assert find_ledger_fault(ledger) is None
     DAMAGE[damage](ledger.home / "ledger.sqlite")
     assert find_ledger_fault(ledger)
-    assert "the copy of the last night's end" in str(repair(ledger))
+    assert "the copy of the last night's end" in str(repair_ledger(ledger))
     assert ledger.cells("raw_flights").equals(CELL)
     assert find_ledger_fault(ledger) is None
-    assert repair(ledger) is None
+    assert repair_ledger(ledger) is None
 
 
 def test_what_was_written_since_is_no_damage(ledger):
@@ -77,20 +77,20 @@ def test_a_torn_ledger_is_put_back_as_it_was_though_written_since(ledger):
     ledger.flush()
     path = ledger.home / "ledger.sqlite"
     path.write_bytes(path.read_bytes()[:5000])
-    assert repair(ledger)
+    assert repair_ledger(ledger)
     assert ledger.cells("raw_flights").equals(CELL)
 
 
 def test_without_a_whole_copy_all_is_taken_in_again(ledger):
     for file in (*ledger.home.glob("*.copy"), ledger.home / "ledger.sqlite"):
         file.write_bytes(b"nothing")
-    assert "taken in again" in str(repair(ledger))
+    assert "taken in again" in str(repair_ledger(ledger))
     assert ledger.cells("raw_flights").is_empty()
 
 
 def test_a_home_that_has_no_ledger_yet_lacks_none(tmp_path):
     assert find_ledger_fault(Ledger(tmp_path)) is None
-    assert repair(Ledger(tmp_path)) is None
+    assert repair_ledger(Ledger(tmp_path)) is None
 
 
 RUN = "0217790e-c4e7-410f-905d-2e60707d3890"

@@ -15,10 +15,9 @@ from pipelines.cli.doctor import FILES_A_FOLDER, examine, sample_files
 from pipelines.digest.changes import compare
 from pipelines.digest.render import as_text
 from pipelines.digest.state import EMPTY, read_state
+from pipelines.intake.faults import MAX_LINES, ignored_entries, quarantine_line, silent_columns, silent_lines
 from pipelines.intake.ingest import ingest_flights
-from pipelines.intake.landing import list_landing
-from pipelines.intake.refusals import MAX_LINES, ignored_entries, quarantine_line, silent_columns, silent_lines
-from pipelines.intake.scan import scan
+from pipelines.intake.landing import list_landing, scan
 from pipelines.orchestration.nightly import Night
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger

@@ -19,7 +19,7 @@ from benchmarks.fingerprint import fingerprint
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import around_night, batches, nightly
-from pipelines.orchestration.local_executor import EngineError
+from pipelines.orchestration.runs import EngineError
 
 BROKER = os.environ.get("HDT_TEST_BROKER", "")
 pytestmark = pytest.mark.skipif(

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from hdt_core.alerts.cases import Limits
 from pipelines.cli import app, main
 from pipelines.digest.declaration import NotifyError, receivers_of
-from pipelines.intake.costs import CostError, read_costs
+from pipelines.intake.findings import CostError, read_costs
 from pipelines.storage.files import make_private, narrow_umask
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError

@@ -14,7 +14,7 @@ import pytest
 from dagster._core.errors import DagsterExecutionInterruptedError
 from nights import run
 
-from pipelines.assets import features
+from pipelines.assets import twin
 from pipelines.cli.stops import StoppedError, stop_in_order
 from pipelines.definitions import build_defs
 from pipelines.lineage import STAGE
@@ -116,7 +116,7 @@ def stale_home(own_home) -> tuple[Path, Path]:
 @pytest.fixture
 def interrupted(monkeypatch):
     """The features' own step is where Ctrl-C comes."""
-    monkeypatch.setattr(features, "describe", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr(twin, "describe", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
 
 
 def test_no_step_follows_a_run_that_was_stopped(stale_home, interrupted):

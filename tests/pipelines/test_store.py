@@ -16,9 +16,8 @@ from pipelines.repair import repair_home
 from pipelines.storage.delta import Deltas
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.months import OPEN
 from pipelines.storage.objects import StoreError
-from pipelines.storage.store import FLEET, Store
+from pipelines.storage.store import FLEET, OPEN, Store
 
 AIRCRAFT = ("AQX", "LX-AAA")
 MAY, MAY_TOO, JUNE = "LX-AAA_20240501_01", "LX-AAA_20240502_01", "LX-AAA_20240601_01"
@@ -46,7 +45,7 @@ def stored_rows(store: Store) -> list[tuple[str, int]]:
 
 def test_merge_of_no_rows_removes_what_was_there_and_makes_no_shard(store):
     store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights_of())
-    assert not store.tables.sources("raw_flights")
+    assert not store.tables.shards("raw_flights")
     merge(store, [MAY])
     store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights_of())
     assert store.read_table("raw_flights").is_empty()
@@ -92,9 +91,9 @@ def test_a_table_that_is_not_there_yet_reads_as_empty_with_its_columns(store):
     frame = store.read_table("prognoses")
     assert frame.is_empty()
     assert frame.columns == list(TABLES["prognoses"].schema.columns())
-    store.declare("prognoses")
-    store.declare("prognoses")
-    assert len(store.tables.sources("prognoses")) == 1
+    store.declare(["prognoses"])
+    store.declare(["prognoses"])
+    assert len(store.tables.shards("prognoses")) == 1
     assert store.read_table("prognoses").equals(frame)
 
 
@@ -103,7 +102,7 @@ def test_the_fleet_has_one_shard(store):
         row = pl.DataFrame({"model_version": [version], "card": ["{}"], "model": [b"x"]})
         store.replace("prognosis_model", [FLEET], row)
     assert store.read_table("prognosis_model")["model_version"].to_list() == ["2"]
-    assert len(store.tables.sources("prognosis_model")) == 1
+    assert len(store.tables.shards("prognosis_model")) == 1
 
 
 def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
@@ -180,12 +179,12 @@ def test_every_table_opens_with_polars_pyarrow_and_duckdb(sample_home, table):
 def test_a_table_is_opened_once_whoever_asks_and_again_after_anothers_commit(tmp_path, monkeypatch):
     """A log of years takes a while to read; another process may have written meanwhile."""
     opened, open_ = [], Deltas.open
-    Store(tmp_path).declare("raw_flights")
+    Store(tmp_path).declare(["raw_flights"])
     monkeypatch.setattr(Deltas, "open", lambda *arguments: opened.append(arguments) or open_(*arguments))
     for n in (1, 2):
         merge(Store(tmp_path), [MAY, JUNE], n)
         assert stored_rows(Store(tmp_path)) == [(MAY, n), (JUNE, n)]
-        assert Store(tmp_path).declare("raw_flights").number == n
+        assert Store(tmp_path).declare(["raw_flights"])["raw_flights"].number == n
     assert opened == []
     elsewhere = shutil.copytree(tmp_path / "tables", tmp_path / "other" / "tables").parent
     merge(Store(elsewhere), [MAY], 3)

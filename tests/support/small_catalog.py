@@ -9,7 +9,7 @@ import polars as pl
 
 from hdt_core.components import component_rows
 from hdt_core.tables import TABLES
-from pipelines.storage.publication import order_views, views
+from pipelines.storage.publication import views
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
 OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
@@ -32,7 +32,7 @@ def _empty_catalog() -> duckdb.DuckDBPyConnection:
     for name, table in TABLES.items():
         arrow_table = table.schema.create_empty().to_arrow()  # noqa: F841
         con.execute(f"create table tables.{name} as select * from arrow_table")
-    for _, sql in order_views(views()):
+    for sql in views().values():
         con.execute(sql)
     return con
 

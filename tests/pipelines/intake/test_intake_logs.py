@@ -8,8 +8,7 @@ from small_catalog import OWN
 
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables import TABLES
-from pipelines.intake.costs import DEFAULTS, NAME, CostError, costs_or_fault, read_costs
-from pipelines.intake.findings import case_files, with_findings
+from pipelines.intake.findings import DEFAULTS, NAME, CostError, case_files, costs_or_fault, read_costs, with_findings
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake
 from pipelines.intake.logs import read_checks, read_fleet, read_maintenance, read_messages

@@ -7,8 +7,8 @@ from datetime import date
 import polars as pl
 import pytest
 
-from pipelines.intake.fields import flight_day, flight_of_file, is_operator, is_tail
 from pipelines.intake.landing import list_landing
+from pipelines.intake.landing_file import flight_day, flight_of_file, is_operator, is_tail
 from pipelines.intake.snapshots import flights_in
 
 GOOD = {
