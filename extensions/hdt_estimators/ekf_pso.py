@@ -10,7 +10,7 @@ from hdt_core.estimation.conclude import conclude
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.kalman import recursive_estimate, trajectory
 from hdt_core.estimation.kalman_step import tangent
-from hdt_core.estimation.optimisers import swarm_search
+from hdt_core.estimation.optimisers import ParticleSwarm
 from hdt_core.estimation.problem import Problem
 
 
@@ -37,8 +37,8 @@ class SwarmKalman:
 
     def estimate(self, problem: Problem) -> Estimate:
         """Return the belief after the last sample, linearised about the best particle's trajectory."""
-        swarm = swarm_search(
-            problem, np.random.default_rng(self.seed), n_particles=self.n_particles, n_iterations=self.n_iterations
+        swarm = ParticleSwarm(n_particles=self.n_particles, n_iterations=self.n_iterations, seed=self.seed).search(
+            problem
         )
         if not np.isfinite(swarm.objective):
             return conclude(problem, swarm.best * np.nan, "diverged", swarm.n_evals, method=self.name)

@@ -93,7 +93,11 @@ def fleet_levels(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
     sampling = float((flights["ln_ua_ratio_sd"].to_numpy() ** 2).mean())
     flight_sd = float(np.sqrt(max(scatter**2 - sampling, MIN_FLIGHT_SD**2)))
     levels = first_levels(flights)
-    all_levels = pl.concat([levels, _levels_after_replacement(flights, maintenance)], how="diagonal")
+    # units whose installation is logged are new
+    life = pl.Series("life", log_flags(flights, maintenance, "HX")[1] == REPLACEMENT).cast(pl.Int32)
+    lives = flights.with_columns(life).with_columns(pl.col("life").cum_sum().over(PACK))
+    new_levels = first_levels(lives.filter(pl.col("life") > 0), [*PACK, "life"])
+    all_levels = pl.concat([levels, new_levels], how="diagonal")
     value, error = all_levels["ln_ua_ratio"].to_numpy(), 1.25 * scatter / np.sqrt(all_levels["n"].to_numpy())
     is_new = np.asarray(np.arange(all_levels.height) >= levels.height)
     level, level_sd, offset_sd = _clean_units(value, error**2, is_new)
@@ -113,13 +117,6 @@ def first_levels(flights: pl.DataFrame, unit: Sequence[str] = PACK) -> pl.DataFr
     """Compute each unit's median `ln_ua_ratio` over its first flights, and their number `n`; flights in order."""
     first = flights.group_by(unit, maintain_order=True).head(FIRST_FLIGHTS)
     return first.group_by(unit, maintain_order=True).agg(pl.col("ln_ua_ratio").median(), pl.len().alias("n"))
-
-
-def _levels_after_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    """Compute first levels of units whose installation is logged, and which are therefore new."""
-    life = pl.Series("life", log_flags(flights, maintenance, "HX")[1] == REPLACEMENT).cast(pl.Int32)
-    lives = flights.with_columns(life).with_columns(pl.col("life").cum_sum().over(PACK))
-    return first_levels(lives.filter(pl.col("life") > 0), [*PACK, "life"])
 
 
 def _clean_units(value: Array, error_var: Array, is_new: Array) -> tuple[float, float, float]:

@@ -18,6 +18,18 @@ CC_INLET_BIAS_SD_K = declared(CC.model.signal("cc_in_k").bias_sd)
 DOOR_FREE, MOSTLY_FREE = (0.05, 0.95), 0.8
 
 
+def _share(own_sd: float, other_sd: Array | float) -> Array:
+    """Compute the share of two sensors' difference that belongs to the first, by their declared calibration errors."""
+    return np.asarray(own_sd**2 / (own_sd**2 + other_sd**2))
+
+
+SHARE_K = float(_share(CC_INLET_BIAS_SD_K, declared(HX.model.signal("tat_k").bias_sd)))
+SHARE_LN = float(
+    _share(declared(CC.model.signal("cc_in_pa").gain_sd), declared(HX.model.signal("total_pressure_pa").gain_sd))
+)
+"""Of inlet temperature and pressure, against the air data."""
+
+
 def sensor_prior(cruise: pl.DataFrame, packs: pl.DataFrame) -> tuple[Array, Array]:
     """Compute mean and sd of each pack's sensor biases before the fit, (packs, 6) each, order of `hx.BIASES`.
 
@@ -38,8 +50,7 @@ def sensor_prior(cruise: pl.DataFrame, packs: pl.DataFrame) -> tuple[Array, Arra
         apart_k=pl.col("apart_k").mean().over(AIRCRAFT),
         n_inlets=pl.col("apart_k").count().over(AIRCRAFT),
     )
-    flow_sd = np.full(packs.height, CC_FLOW_BIAS_SD)
-    mean[:, flow], sd[:, flow] = _share_difference(_beyond(rows["ln_flows"]), hx.BIAS_SDS[flow], flow_sd)
+    mean[:, flow], sd[:, flow] = _share_difference(_beyond(rows["ln_flows"]), hx.BIAS_SDS[flow], CC_FLOW_BIAS_SD)
     inlet_sd = CC_INLET_BIAS_SD_K / np.sqrt(np.maximum(rows["n_inlets"].to_numpy().astype(float), 1.0))
     mean[:, tat], sd[:, tat] = _share_difference(_beyond(rows["apart_k"]), hx.BIAS_SDS[tat], inlet_sd)
     return mean, sd
@@ -50,10 +61,10 @@ def _beyond(column: pl.Series) -> Array:
     return values - np.nanmedian(values) if np.isfinite(values).any() else values
 
 
-def _share_difference(difference: Array, own_sd: float, other_sd: Array) -> tuple[Array, Array]:
+def _share_difference(difference: Array, own_sd: float, other_sd: Array | float) -> tuple[Array, Array]:
     """Compute the posterior of a bias from the difference of two sensors; the prior where there is none."""
     is_known = np.isfinite(difference)
-    share = np.where(is_known, own_sd**2 / (own_sd**2 + other_sd**2), 0.0)
+    share = np.where(is_known, _share(own_sd, other_sd), 0.0)
     return share * np.nan_to_num(difference), own_sd * np.sqrt(1.0 - share)
 
 
@@ -68,16 +79,6 @@ def exit_differences(cruise: pl.DataFrame) -> pl.DataFrame:
         .alias("apart_k")
     )
     return differences.select(*FLIGHT_PACK, "apart_k")
-
-
-def _share(own_sd: float | None, other_sd: float | None) -> float:
-    """Compute the share of two sensors' difference that belongs to the first, by their declared calibration errors."""
-    return declared(own_sd) ** 2 / (declared(own_sd) ** 2 + declared(other_sd) ** 2)
-
-
-SHARE_K = _share(CC.model.signal("cc_in_k").bias_sd, HX.model.signal("tat_k").bias_sd)
-SHARE_LN = _share(CC.model.signal("cc_in_pa").gain_sd, HX.model.signal("total_pressure_pa").gain_sd)
-"""Of inlet temperature and pressure, against the air data."""
 
 
 def probe_corrections(cruise: pl.DataFrame, packs: pl.DataFrame) -> pl.DataFrame:

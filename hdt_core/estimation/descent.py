@@ -140,18 +140,12 @@ def descend_each(problem: Problem, origin: Array, max_steps: int = 200, n_evals:
         live = [walk for walk in live if walk.goes_on]
         if not live:
             break
-        for walk, objective in zip(live, _objectives(problem, live), strict=True):
+        part, trials = _trials(problem, live)
+        for walk, objective in zip(live, part.objective_each(trials[None])[0], strict=True):
             walk.judge(float(objective))
         _linearise_trials(problem, [walk for walk in live if walk.is_better])
         live = [walk for walk in live if walk.goes_on]
     return [walk.point for walk in walks]
-
-
-def _objectives(problem: Problem, walks: list[_Walk]) -> Array:
-    """Compute the objective of each trial. (walks,)"""
-    part, trials = _trials(problem, walks)
-    objectives: Array = part.objective_each(trials[None])[0]
-    return objectives
 
 
 def _linearise_trials(problem: Problem, walks: list[_Walk]) -> None:

@@ -113,8 +113,38 @@ class Estimate:
             return np.asarray(np.nan_to_num(-cov @ slope.T @ change.ravel() / self.belief.sd))
 
     def summary(self) -> str:
-        """Format a report with the entries of lmfit's."""
-        return _report(self)
+        """Format a report with the entries of lmfit's: status, statistics, parameters with three kinds of standard
+        deviation, correlations."""
+        fit, problem = self.fit, self.problem
+        lines = [
+            "[[Fit]]",
+            f"    method               = {self.method or '-'}",
+            f"    status               = {self.status}",
+            f"    distance to optimum  = {self.distance:.2g} standard deviations",
+            f"    model evaluations    = {self.n_evals}, and {self.n_checks} to question the answer",
+            f"    values               = {fit.n_values}",
+            f"    free parameters      = {fit.n_free}",
+            f"    degrees of freedom   = {fit.degrees}",
+            f"    chi-square           = {fit.chi2:.6g}",
+            f"    reduced chi-square   = {fit.reduced_chi2:.6g}",
+            f"    Akaike criterion     = {fit.aic:.6g}",
+            f"    Bayesian criterion   = {fit.bic:.6g}",
+            f"    fit                  = {fit.verdict}: {MEANING[fit.verdict]}",
+            "[[Parameters]]",
+        ]
+        starts = np.full(self.belief.mean.size, np.nan) if problem is None else problem.origin
+        if self.step_error is not None:
+            shift = np.abs(self.step_error).max(initial=0.0)
+            lines.insert(-1, f"    error of the step    = {shift:.2g} standard deviations")
+        lines += _parameters(self, starts) + _correlations(self)
+        if self.weak:
+            lines.append(f"[[Left open by the data]]\n    {', '.join(self.weak)}")
+        if self.better is not None:
+            point = ", ".join(
+                f"{name} {v:.6g}" for name, v in zip(self.identifiability.names, self.better, strict=True)
+            )
+            lines.append(f"[[A better optimum]]\n    near {point}")
+        return "\n".join(lines)
 
     def plot(self, axes: Axes) -> None:
         """Draw the normalised residuals of every output over the samples, with the band of two sigmas."""
@@ -154,40 +184,6 @@ def estimate_each(method: Estimator, problem: Problem) -> list[Estimate]:
             mean = np.where(np.isinf(prior.sd), estimates[-1].belief.mean, prior.mean)
             prior = Belief(mean, prior.cov)
     return estimates
-
-
-def _report(estimate: Estimate) -> str:
-    """Format status, statistics, parameters with three kinds of standard deviation, correlations."""
-    fit, problem = estimate.fit, estimate.problem
-    lines = [
-        "[[Fit]]",
-        f"    method               = {estimate.method or '-'}",
-        f"    status               = {estimate.status}",
-        f"    distance to optimum  = {estimate.distance:.2g} standard deviations",
-        f"    model evaluations    = {estimate.n_evals}, and {estimate.n_checks} to question the answer",
-        f"    values               = {fit.n_values}",
-        f"    free parameters      = {fit.n_free}",
-        f"    degrees of freedom   = {fit.degrees}",
-        f"    chi-square           = {fit.chi2:.6g}",
-        f"    reduced chi-square   = {fit.reduced_chi2:.6g}",
-        f"    Akaike criterion     = {fit.aic:.6g}",
-        f"    Bayesian criterion   = {fit.bic:.6g}",
-        f"    fit                  = {fit.verdict}: {MEANING[fit.verdict]}",
-        "[[Parameters]]",
-    ]
-    starts = np.full(estimate.belief.mean.size, np.nan) if problem is None else problem.origin
-    if estimate.step_error is not None:
-        shift = np.abs(estimate.step_error).max(initial=0.0)
-        lines.insert(-1, f"    error of the step    = {shift:.2g} standard deviations")
-    lines += _parameters(estimate, starts) + _correlations(estimate)
-    if estimate.weak:
-        lines.append(f"[[Left open by the data]]\n    {', '.join(estimate.weak)}")
-    if estimate.better is not None:
-        point = ", ".join(
-            f"{name} {v:.6g}" for name, v in zip(estimate.identifiability.names, estimate.better, strict=True)
-        )
-        lines.append(f"[[A better optimum]]\n    near {point}")
-    return "\n".join(lines)
 
 
 def _parameters(estimate: Estimate, starts: np.ndarray) -> list[str]:

@@ -42,6 +42,15 @@ class NonlinearLeastSquares:
 
 
 @dataclass(frozen=True, slots=True)
+class Swarm:
+    """Result of a search: best point (n,), its objective, passes over the record."""
+
+    best: Array
+    objective: float
+    n_evals: int
+
+
+@dataclass(frozen=True, slots=True)
 class ParticleSwarm:
     """Best point of a particle swarm; with `polish`, which is the default, least squares from there.
 
@@ -66,65 +75,39 @@ class ParticleSwarm:
 
     def estimate(self, problem: Problem) -> Estimate:
         """Minimise the objective; covariance from the information at that point."""
-        swarm = swarm_search(
-            problem,
-            np.random.default_rng(self.seed),
-            n_particles=self.n_particles,
-            n_iterations=self.n_iterations,
-            inertia=self.inertia,
-            cognitive=self.cognitive,
-            social=self.social,
-        )
+        swarm = self.search(problem)
         if not np.isfinite(swarm.objective):
             return conclude(problem, swarm.best * np.nan, "diverged", swarm.n_evals, method=self.name)
         if self.polish:
             return settle(problem, swarm.best, swarm.n_evals, method=self.name)
         return conclude(problem, swarm.best, "max_steps", swarm.n_evals, method=self.name)
 
+    def search(self, problem: Problem) -> Swarm:
+        """Minimise the problem's objective over its box; the starting point is one of the particles.
 
-@dataclass(frozen=True, slots=True)
-class Swarm:
-    """Result of a search: best point (n,), its objective, passes over the record."""
+        A particle that would leave the box stops at the wall and loses its speed towards it.
 
-    best: Array
-    objective: float
-    n_evals: int
-
-
-def swarm_search(
-    problem: Problem,
-    rng: np.random.Generator,
-    *,
-    n_particles: int,
-    n_iterations: int,
-    inertia: float = 0.7298,
-    cognitive: float = 1.49618,
-    social: float = 1.49618,
-) -> Swarm:
-    """Minimise the problem's objective over its box; the starting point is one of the particles.
-
-    A particle that would leave the box stops at the wall and loses its speed towards it.
-
-    References
-    ----------
-    .. [1] M. Clerc and J. Kennedy, The particle swarm: explosion, stability and convergence, IEEE TEC 6(1), 2002:
-       the defaults of inertia and pull.
-    """
-    lower, upper = problem.search_box
-    shape = (n_particles, lower.size)
-    theta = lower + (upper - lower) * rng.random(shape)
-    theta[0] = problem.origin
-    velocity = 0.1 * (upper - lower) * (2.0 * rng.random(shape) - 1.0)
-    best_theta, best_objective = theta.copy(), problem.objective(theta)
-    for _ in range(n_iterations):
-        pull = rng.random((2, *shape))
-        leader = best_theta[best_objective.argmin()]
-        velocity = inertia * velocity + cognitive * pull[0] * (best_theta - theta) + social * pull[1] * (leader - theta)
-        target = theta + velocity
-        theta = np.minimum(np.maximum(target, lower), upper)
-        velocity[target != theta] = 0.0
-        objective = problem.objective(theta)
-        is_better = objective < best_objective
-        best_theta[is_better], best_objective[is_better] = theta[is_better], objective[is_better]
-    best = int(best_objective.argmin())
-    return Swarm(best_theta[best], float(best_objective[best]), n_particles * (n_iterations + 1))
+        References
+        ----------
+        .. [1] M. Clerc and J. Kennedy, The particle swarm: explosion, stability and convergence, IEEE TEC 6(1), 2002:
+           the defaults of inertia and pull.
+        """
+        lower, upper = problem.search_box
+        rng, shape = np.random.default_rng(self.seed), (self.n_particles, lower.size)
+        theta = lower + (upper - lower) * rng.random(shape)
+        theta[0] = problem.origin
+        velocity = 0.1 * (upper - lower) * (2.0 * rng.random(shape) - 1.0)
+        best_theta, best_objective = theta.copy(), problem.objective(theta)
+        for _ in range(self.n_iterations):
+            pull = rng.random((2, *shape))
+            leader = best_theta[best_objective.argmin()]
+            velocity = self.inertia * velocity + self.cognitive * pull[0] * (best_theta - theta)
+            velocity += self.social * pull[1] * (leader - theta)
+            target = theta + velocity
+            theta = np.minimum(np.maximum(target, lower), upper)
+            velocity[target != theta] = 0.0
+            objective = problem.objective(theta)
+            is_better = objective < best_objective
+            best_theta[is_better], best_objective[is_better] = theta[is_better], objective[is_better]
+        best = int(best_objective.argmin())
+        return Swarm(best_theta[best], float(best_objective[best]), self.n_particles * (self.n_iterations + 1))

@@ -15,7 +15,7 @@ from hdt_core.margin.first_passage import wear_rate
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, events_ahead, quantile
 from hdt_core.prognosis.model import HORIZON, OUT_OF_FOLD
-from hdt_core.prognosis.unit_lives import component_lives, life_table
+from hdt_core.prognosis.unit_lives import episodes, life_table
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Array
 
@@ -52,7 +52,7 @@ def component_life_table(
 ) -> pl.DataFrame:
     """Return `life_table` of a component's units; without a declared message all are censored."""
     rows = features.filter(component=component.code)
-    return life_table(rows, component_lives(rows, messages, maintenance, component))
+    return life_table(rows, episodes(rows, messages, maintenance, (component,)))
 
 
 def _predict(rows: pl.DataFrame, past: FleetRecord, component: Component) -> pl.DataFrame:
@@ -144,7 +144,7 @@ def _failures(past: FleetRecord, component: Component) -> pl.DataFrame:
     rows = past.features.sort(*PACK, "departed_at", "flight_id")
     if component.message_code is None or rows.is_empty():
         return pl.DataFrame(schema={"tail": pl.String, "loss": pl.Float64})
-    lives = component_lives(rows, past.messages, past.maintenance, component)
+    lives = episodes(rows, past.messages, past.maintenance, (component,))
     ends = lives.filter("failed").select(*PACK, row=pl.col("end_row"))
     flights = rows.with_columns(row=pl.int_range(pl.len()).over(PACK).cast(pl.Int64))
     last = pl.col("loss").forward_fill().over(PACK)

@@ -1,6 +1,6 @@
 """Build the model's input arrays from frames: one row a flight and pack."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import datetime
 
 import numpy as np
@@ -161,7 +161,9 @@ def _panel(rows: pl.DataFrame, lives: int) -> Panel:
     age = pl.when("age_known").then(pl.col("row") - pl.col("first_row")).cast(pl.Float64)
     day = pl.col("departed_at").dt.ordinal_day().cast(pl.Float64)
     columns = rows.select("value", "sd", age.alias("age"), "ratio", *MARGIN_FEATURES, day.alias("day"))
-    return Panel(*(_fill_panel(shape, place, values) for values in columns.to_numpy().astype(float).T))
+    panel = np.full((len(fields(Panel)), *shape), np.nan)
+    panel[:, *place] = columns.to_numpy().astype(float).T
+    return Panel(*panel)
 
 
 def _curves(rows: pl.DataFrame, component: str) -> Array:
@@ -239,12 +241,6 @@ def learn_rule(track: Tracks, component: str, use: Array) -> FailureRule:
     operator = np.empty(message.size, dtype=object)
     operator[life] = track.operator[track.curve_index[:, 0]]
     return learn_rules(onset, message[lives], operator[lives].astype(str))
-
-
-def _fill_panel(shape: tuple[int, int], place: tuple[Array, Array], values: Array) -> Array:
-    out = np.full(shape, np.nan)
-    out[place] = values
-    return out
 
 
 def _loss(features: pl.DataFrame, component: str) -> list[pl.Expr]:

@@ -95,10 +95,6 @@ def _rule(plain: dict[str, Any]) -> FailureRule:
     return Limit(**plain) if "mean" in plain else {name: MessageRule(**rule) for name, rule in plain.items()}
 
 
-def _rule_to_dict(rule: FailureRule) -> dict[str, Any]:
-    return asdict(rule) if isinstance(rule, Limit) else {name: asdict(rule) for name, rule in rule.items()}
-
-
 def model_card(model: Prognosis, scores: dict[str, float] | None = None) -> Card:
     """Describe a model: its outputs, training data and out-of-fold scores.
 
@@ -118,7 +114,7 @@ def model_card(model: Prognosis, scores: dict[str, float] | None = None) -> Card
         "learned_from": "simulated lives (base); the fleet's own failed and censored lives (rule, hazard, interval)",
         "failures": {component: fit.failures for component, fit in model.fits.items()},
         "lives": {component: fit.lives for component, fit in model.fits.items()},
-        "message": {component: _rule_to_dict(fit.rule) for component, fit in model.fits.items()},
+        "message": {component: fit["rule"] for component, fit in _plain(model.fits).items()},
         "not_for": "removals for other reasons than the message; components without a health track",
         "scores": scores or {},
     }

@@ -1,5 +1,7 @@
 """Cut lives of units from flights, messages and the maintenance log."""
 
+from collections.abc import Sequence
+
 import polars as pl
 
 from hdt_core.components import Component
@@ -11,8 +13,13 @@ from hdt_core.records.unit_index import first_flights
 ANSWER_FLIGHTS = 20
 
 
-def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    """Cut lives of the exchangers and compressors, failed or censored.
+def episodes(
+    features: pl.DataFrame,
+    messages: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    components: Sequence[Component] = (HX, CC),
+) -> pl.DataFrame:
+    """Cut lives of the exchangers and compressors, or of other components, failed or censored.
 
     A message ends a life only if the unit is replaced soon after it and no inspection cleared the unit in between: a
     jammed ram door raises the same message. A replacement without a message is preventive and censors the life.
@@ -32,8 +39,9 @@ def episodes(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.Dat
         age_known, mute (the operator has sent no message of any kind, so that its failures are not recorded).
     """
     flights = flight_rows(features)
-    parts = [_lives(flights, messages, maintenance, component) for component in (HX, CC)]
-    return pl.concat(parts).sort("component", *PACK, "life").with_columns(mute=_mute(messages))
+    parts = [_lives(flights, messages, maintenance, component) for component in components]
+    is_mute = ~pl.col("operator").is_in(messages["operator"].unique().implode())
+    return pl.concat(parts).sort("component", *PACK, "life").with_columns(mute=is_mute)
 
 
 def life_table(features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
@@ -44,7 +52,7 @@ def life_table(features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
     features : DataFrame
         As for `episodes`.
     lives : DataFrame
-        From `episodes`, or from `component_lives`.
+        From `episodes`.
 
     Returns
     -------
@@ -72,11 +80,6 @@ def _end_reason() -> pl.Expr:
     return pl.when("failed").then(pl.lit("message")).when("removed").then(removal)
 
 
-def _mute(messages: pl.DataFrame) -> pl.Expr:
-    """Flag operators that have sent no message of any kind."""
-    return ~pl.col("operator").is_in(messages["operator"].unique().implode())
-
-
 def flight_rows(features: pl.DataFrame, *columns: str) -> pl.DataFrame:
     """Number flights of each pack in order of departure, from 0 in `row`, with further `columns`."""
     keys = features.select(*PACK, "flight_id", "departed_at", *columns).unique([*PACK, "flight_id"], keep="first")
@@ -95,13 +98,6 @@ def with_lives(flights: pl.DataFrame, lives: pl.DataFrame, component: str) -> pl
         life_id=pl.struct(*PACK, "life").rank("dense").cast(pl.Int64) - 1,
         remaining=(pl.col("end_row") - pl.col("row")).cast(pl.Float64),
     )
-
-
-def component_lives(
-    features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
-) -> pl.DataFrame:
-    """Cut lives of one component, as in `episodes`."""
-    return _lives(flight_rows(features), messages, maintenance, component).with_columns(mute=_mute(messages))
 
 
 def _lives(

@@ -106,12 +106,6 @@ def draw_habits(rng: np.random.Generator) -> Habits:
     )
 
 
-def draw_type(rng: np.random.Generator) -> PackDesign:
-    """Draw a pack design of any reserve: a clean pack needs from a tenth to most of its ram door in cruise."""
-    design = draw_design(rng)
-    return replace(design, door_sizing=float(rng.uniform(0.12, 0.62)))
-
-
 def excess_at(demand: OutletExcess, ratio: Array) -> Array:
     """Interpolate the outlet's excess at full door at a ln conductance ratio of each flight. (packs, flights, samples)
 
@@ -151,7 +145,9 @@ def draw_demand(rng: np.random.Generator, aircraft: int, flights: int) -> Outlet
 
 
 def _fleet(rng: np.random.Generator, aircraft: int, flights: int) -> OutletExcess:
-    design, habits = draw_type(rng), draw_habits(rng)
+    # of any reserve: a clean pack needs from a tenth to most of its ram door in cruise
+    design = replace(draw_design(rng), door_sizing=float(rng.uniform(0.12, 0.62)))
+    habits = draw_habits(rng)
     operator = draw_operators(rng, FleetSettings(operators=1, tails=1))[0]
     first_day = float(rng.uniform(0.0, FIRST_DAYS))
     parts = [_aircraft(rng, design, operator, habits, flights, first_day) for _ in range(aircraft)]

@@ -1,6 +1,6 @@
 """Declare tables: columns with type, unit, span and meaning; describe rules that a frame breaks."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import dataframely as dy
 import polars as pl
@@ -12,39 +12,39 @@ FLIGHT_ID = r"^[A-Z0-9-]{2,10}_\d{8}_\d{2}$"
 UTC = pl.Datetime("us", "UTC")
 
 
-def number(meaning: str, unit: str = "-", low: float | None = None, high: float | None = None, **kw: Any) -> dy.Float64:
+Column = TypeVar("Column", bound=dy.Column)
+
+
+def column(dtype: type[Column], meaning: str, unit: str = "", *, nullable: bool = False, **kw: Any) -> Column:
+    """A column of any type: an index, a day, bytes."""
+    return dtype(nullable=nullable, metadata={"unit": unit, "meaning": meaning}, **kw)
+
+
+def number(
+    meaning: str, unit: str = "-", low: float | None = None, high: float | None = None, *, nullable: bool = True
+) -> dy.Float64:
     """A physical quantity: null where missing, never NaN."""
-    return dy.Float64(
-        nullable=kw.pop("nullable", True), min=low, max=high, metadata={"unit": unit, "meaning": meaning}, **kw
-    )
+    return column(dy.Float64, meaning, unit, nullable=nullable, min=low, max=high)
 
 
-def count(meaning: str, unit: str = "-", **kw: Any) -> dy.Int64:
+def count(meaning: str, unit: str = "-", *, nullable: bool = False) -> dy.Int64:
     """A count, zero or more."""
-    return dy.Int64(nullable=kw.pop("nullable", False), min=0, metadata={"unit": unit, "meaning": meaning}, **kw)
+    return column(dy.Int64, meaning, unit, nullable=nullable, min=0)
 
 
-def column(dtype: type[dy.Column], meaning: str, unit: str = "", **kw: Any) -> dy.Column:
-    """A column of another type: an index, a day, bytes."""
-    return dtype(nullable=kw.pop("nullable", False), metadata={"unit": unit, "meaning": meaning}, **kw)
-
-
-def text(meaning: str, **kw: Any) -> dy.String:
+def text(meaning: str, *, nullable: bool = True, **kw: Any) -> dy.String:
     """A code or a sentence."""
-    return dy.String(nullable=kw.pop("nullable", True), metadata={"unit": "", "meaning": meaning}, **kw)
+    return column(dy.String, meaning, nullable=nullable, **kw)
 
 
-def flag(meaning: str, **kw: Any) -> dy.Bool:
+def flag(meaning: str, *, nullable: bool = False) -> dy.Bool:
     """Yes or no."""
-    return dy.Bool(nullable=kw.pop("nullable", False), metadata={"unit": "", "meaning": meaning}, **kw)
+    return column(dy.Bool, meaning, nullable=nullable)
 
 
 def moment(meaning: str, **kw: Any) -> dy.Datetime:
     """A point in time, UTC."""
-    nullable = kw.pop("nullable", False)
-    return dy.Datetime(
-        nullable=nullable, time_zone="UTC", time_unit="us", metadata={"unit": "UTC", "meaning": meaning}, **kw
-    )
+    return column(dy.Datetime, meaning, "UTC", time_zone="UTC", time_unit="us", **kw)
 
 
 def operator_key(*, primary_key: bool = True) -> dy.String:
@@ -57,25 +57,24 @@ def tail_key(*, primary_key: bool = True) -> dy.String:
     return text("aircraft registration", nullable=False, primary_key=primary_key, regex=TAIL)
 
 
-def flight_key(**kw: Any) -> dy.String:
+def flight_key() -> dy.String:
     """Flight id: tail, UTC date of departure, leg of that day."""
-    return text(
-        "tail, UTC day of departure and leg, `TAIL_YYYYMMDD_LEG`",
-        nullable=False,
-        primary_key=True,
-        regex=FLIGHT_ID,
-        **kw,
-    )
+    meaning = "tail, UTC day of departure and leg, `TAIL_YYYYMMDD_LEG`"
+    return text(meaning, nullable=False, primary_key=True, regex=FLIGHT_ID)
 
 
 COMPONENT_FLIGHT_ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
 """A flight, cycle or mission as a component's own record numbers them."""
 
 
-def pack_key(**kw: Any) -> dy.Int32:
+def pack_key() -> dy.Int32:
     """Air-conditioning pack: 1 left, 2 right."""
-    meaning = {"unit": "", "meaning": "air-conditioning pack, 1 left, 2 right"}
-    return dy.Int32(nullable=False, primary_key=True, min=1, max=4, metadata=meaning, **kw)
+    return column(dy.Int32, "air-conditioning pack, 1 left, 2 right", primary_key=True, min=1, max=4)
+
+
+def component_key() -> dy.String:
+    """Code of a component as part of the key."""
+    return text("code of the component", nullable=False, primary_key=True)
 
 
 _RULES = {

@@ -112,7 +112,7 @@ def _unit(name: str) -> str:
 def _col(dtype: type[dy.Column], unit: str, meaning: str) -> dy.Column:
     """Build a feature's column without limits, for an odd ratio must not stop a night; the catalog checks it."""
     free: dict[str, Any] = {"allow_inf": True, "allow_nan": True} if dtype is dy.Float64 else {}
-    return dtype(nullable=True, metadata={"unit": unit, "meaning": meaning}, **free)
+    return column(dtype, meaning, unit, nullable=True, **free)
 
 
 def _number(name: str, meaning: str) -> tuple[str, dy.Column]:

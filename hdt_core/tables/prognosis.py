@@ -7,6 +7,7 @@ from hdt_core.tables.base import (
     ComponentLegTable,
     Table,
     column,
+    component_key,
     count,
     flag,
     moment,
@@ -21,7 +22,7 @@ class PrognosisBase(Table):
 
     model_version = text("digest of the base", nullable=False, primary_key=True)
     card = text("model card as JSON", nullable=False)
-    model = dy.Binary(nullable=False, metadata={"unit": "", "meaning": "the base as skops bytes"})
+    model = column(dy.Binary, "the base as skops bytes")
 
 
 class PrognosisModel(Table):
@@ -40,16 +41,13 @@ class PrognosisModel(Table):
         "by component and pack, the flights of the month that have a prognosis, and a hash of their health, as JSON",
         nullable=False,
     )
-    model = dy.Binary(
-        nullable=True,
-        metadata={"unit": "", "meaning": "the base of all months as skops bytes, in the newest month's row"},
-    )
+    model = column(dy.Binary, "the base of all months as skops bytes, in the newest month's row", nullable=True)
 
 
 class Prognoses(ComponentLegTable):
     """Predicted remaining life after a flight: flight, pack, component."""
 
-    component = text("code of the component", nullable=False, primary_key=True)
+    component = component_key()
     departed_at = moment("first recorded time")
     rul_flights = number("flights left until the failure message, 50 % point without any condition", "flights", 0)
     rul_low = number("5 % point of the flights left; 300 stands for 300 or more", "flights", 0)
@@ -68,7 +66,7 @@ class PrognosisLives(AircraftTable):
     """One life of a unit, from its first flight on record to the event that ended it, or to the last flight."""
 
     pack = pack_key()
-    component = text("code of the component", nullable=False, primary_key=True)
+    component = component_key()
     life = column(dy.Int64, "number of the unit in that place, 0 where the record begins with it", primary_key=True)
     ended_by = text(
         "message (one that a replacement answered: a failure), replaced (without one), unheard (replaced, of an "

@@ -11,6 +11,7 @@ from hdt_core.tables.base import (
     LegTable,
     Table,
     column,
+    component_key,
     count,
     flag,
     flight_key,
@@ -174,7 +175,7 @@ class RawChecks(AircraftTable):
 class RawCosts(Table):
     """Cost of one item for a component: component, item."""
 
-    component = text("code of the component", nullable=False, primary_key=True)
+    component = component_key()
     item = text(
         "wash, replace, at_check (either, when it waits for a check) or message", nullable=False, primary_key=True
     )
@@ -214,7 +215,7 @@ class RawCoverage(AircraftTable):
     """Whether a parameter can be estimated for an aircraft that has a type: aircraft, parameter."""
 
     type = text("type of the aircraft, as in fleet.csv", nullable=False)
-    component = text("code of the component", nullable=False, primary_key=True)
+    component = component_key()
     parameter = text("health parameter", nullable=False, primary_key=True)
     status = text("recorded, or not_recorded: nothing can be estimated", nullable=False)
     missing = text("columns without which it can't be estimated")

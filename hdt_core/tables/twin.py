@@ -1,8 +1,6 @@
 """Tables of calibration, twin and residuals: design, each pack's health flight by flight, sensor against model against
 twin; and those that only declared components have, with the component as part of the key."""
 
-from typing import Any
-
 import dataframely as dy
 
 from hdt_core.tables.base import (
@@ -11,6 +9,7 @@ from hdt_core.tables.base import (
     DatedLegTable,
     Table,
     column,
+    component_key,
     count,
     flag,
     moment,
@@ -63,10 +62,6 @@ class CalibrationDesign(Table):
     dsm_version = text("model it belongs to", nullable=False)
 
 
-def _samples(meaning: str) -> dy.Column:
-    return column(dy.Int32, meaning, "-", min=0)
-
-
 def _numbers(meaning: str) -> dy.List:
     return dy.List(dy.Float64(nullable=False), nullable=False, metadata={"unit": "-", "meaning": meaning})
 
@@ -75,7 +70,7 @@ class TwinFlights(DatedLegTable):
     """Estimate of a pack from one flight alone, against the Digital System Model: flight, pack."""
 
     status = text("ok, few_samples; no_cruise: nothing estimated; implausible: no core can have this", nullable=False)
-    n_samples = _samples("steady cruise samples behind the exchanger's estimates")
+    n_samples = column(dy.Int32, "steady cruise samples behind the exchanger's estimates", "-", min=0)
     ln_ua_ratio = number("ln of measured over expected conductance, ram flow that of a clean duct")
     ln_ua_ratio_sd = number("random standard deviation of it", low=0)
     ln_ua_ratio_map_sd = number("standard deviation that the model's own uncertainty gives it", low=0)
@@ -104,7 +99,7 @@ class TwinFlights(DatedLegTable):
     exit_apart_k = number("exchanger outlet above the other pack's, while both doors can move", "K")
     inlet_apart_k = number("exchanger inlet above that by compressor discharge and both flows", "K")
     door_apart_ln = number("ln_ua_ratio of climb and descent above that of the cruise")
-    cc_n_samples = _samples("cruise samples behind the compressor's estimates")
+    cc_n_samples = column(dy.Int32, "cruise samples behind the compressor's estimates", "-", min=0)
     diameter_m = number("effective diameter, equation (5)", "m", low=0)
     diameter_m_se = number("scatter of its median", "m", low=0)
     expected_diameter_m = number("what equation (6) expects at this diffuser position", "m")
@@ -139,7 +134,7 @@ class TwinCheckpoints(AircraftTable):
     """One of the hypotheses about a pack as a chapter of fifty flights began: a checkpoint from which nights go on."""
 
     pack = pack_key()
-    component = text("code of the component", nullable=False, primary_key=True)
+    component = component_key()
     parameter = text("health parameter whose track it continues", nullable=False, primary_key=True)
     chapter = column(
         dy.Int64, "chapter of the pack's flights, from 1; the first needs no checkpoint", "-", primary_key=True
@@ -168,20 +163,16 @@ class Residuals(ComponentLegTable):
     n = count("samples")
 
 
-def _component(**kw: Any) -> dy.String:
-    return text("code of the component", nullable=False, primary_key=kw.pop("primary_key", True), **kw)
-
-
 class _Leg(ComponentLegTable):
     """A flight and pack of a component."""
 
-    component = _component()
+    component = component_key()
 
 
 class ComponentList(Table):
     """One component of the chain."""
 
-    component = _component()
+    component = component_key()
     name = text("name in reports and alerts", nullable=False)
     loss = text("health parameter whose growth ends its life", nullable=False)
     lost = text("what it loses", nullable=False)

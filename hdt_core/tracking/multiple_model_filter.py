@@ -211,6 +211,7 @@ def branch_on_surprise(
     is_below, is_above = is_surprising & (residual < 0.0), is_surprising & (residual > 0.0)
     may_fault = is_surprising & ~b.faulty
     is_without_entry = is_above & (log_entry == NOTHING)
+    fault = _add(b.at(may_fault), OTHER, 0.0, FAULT_SD)
     wash = _wash(b.at(log_entry == WASH), WASH_LEAVES, WASH_LEAVES_SD, settings)
     worked_on, wash_share = b.at(is_without_entry), settings.wash_share
     unlogged = [_chance(unit, 1.0 - wash_share) for unit in _renew(worked_on, settings)]
@@ -221,9 +222,9 @@ def branch_on_surprise(
         _chance(wash, RENEWAL_LOGGED * LOG_LATE),
         *(_chance(u._replace(unlogged=u.pack >= 0), RENEWAL_UNLOGGED) for u in unlogged),
         _chance(_wash(worked_on, RECOVERY_LEAVES, RECOVERY_LEAVES_SD, settings), CHANCE["recovery"]),
-        _chance(_add_wear(b.at(is_below), DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
-        _chance(_add_wear(b.at(is_below), *settings.clog), CHANCE["clog"]),
-        _chance(_begin_fault(b.at(may_fault)), settings.fault_chance * unchecked[may_fault]),
+        _chance(_add(b.at(is_below), WEAR, DEPOSIT, DEPOSIT_SD), CHANCE["deposit"]),
+        _chance(_add(b.at(is_below), WEAR, *settings.clog), CHANCE["clog"]),
+        _chance(fault._replace(faulty=np.ones_like(fault.faulty)), settings.fault_chance * unchecked[may_fault]),
         _chance(_end_fault(b.at(is_surprising & b.faulty)), CHANCE["fault_over"]),
     ]
 
@@ -236,16 +237,21 @@ def _renew(b: Hypotheses, settings: Settings) -> list[Hypotheses]:
     """Install another unit, at each pace; the pack's sensors stay."""
     branches = []
     for j, pace in enumerate(settings.paces):
-        mean, cov = b.mean.copy(), b.cov.copy()
-        for i in (WEAR, RATE, UNIT):
-            cov[:, i, :] = cov[:, :, i] = 0.0
-        mean[:, WEAR], cov[:, WEAR, WEAR] = RENEWED_WEAR, RENEWED_SD**2
-        mean[:, RATE], cov[:, RATE, RATE] = pace.rate, pace.rate_sd**2
-        mean[:, UNIT], cov[:, UNIT, UNIT] = 0.0, settings.unit_sd**2
+        renewed = _reset(
+            b, {WEAR: (RENEWED_WEAR, RENEWED_SD), RATE: (pace.rate, pace.rate_sd), UNIT: (0.0, settings.unit_sd)}
+        )
         labels = {"pace": np.full_like(b.pace, j), "since": np.zeros_like(b.since)}
-        branch = b._replace(mean=mean, cov=cov, retention=b.retention * [0.0, 0.0, 1.0, 0.0, 1.0], **labels)
-        branches.append(_chance(branch, pace.share))
+        branches.append(_chance(renewed._replace(**labels), pace.share))
     return branches
+
+
+def _reset(b: Hypotheses, states: dict[int, tuple[float, float]]) -> Hypotheses:
+    """Replace some states by a mean and sd that do not depend on what was."""
+    mean, cov, retention = b.mean.copy(), b.cov.copy(), b.retention.copy()
+    for i, (value, sd) in states.items():
+        cov[:, i, :] = cov[:, :, i] = retention[:, i] = 0.0
+        mean[:, i], cov[:, i, i] = value, sd**2
+    return b._replace(mean=mean, cov=cov, retention=retention)
 
 
 def _wash(b: Hypotheses, share: float, share_sd: float, settings: Settings) -> Hypotheses:
@@ -257,29 +263,16 @@ def _wash(b: Hypotheses, share: float, share_sd: float, settings: Settings) -> H
     return b._replace(mean=mean, cov=cov, since=np.zeros_like(b.since), retention=b.retention * retention)
 
 
-def _add_wear(b: Hypotheses, step: float, step_sd: float) -> Hypotheses:
-    """Add a sudden deposit or clog."""
+def _add(b: Hypotheses, state: int, step: float, step_sd: float) -> Hypotheses:
+    """Add a sudden step: a deposit or clog to the wear, a fault of door or sensor to what is not the core's."""
     mean, cov = b.mean.copy(), b.cov.copy()
-    mean[:, WEAR] += step
-    cov[:, WEAR, WEAR] += step_sd**2
+    mean[:, state] += step
+    cov[:, state, state] += step_sd**2
     return b._replace(mean=mean, cov=cov)
 
 
-def _begin_fault(b: Hypotheses) -> Hypotheses:
-    """Begin a fault of door or sensor, an offset that is not the core's."""
-    cov = b.cov.copy()
-    cov[:, OTHER, OTHER] += FAULT_SD**2
-    return b._replace(cov=cov, faulty=np.ones_like(b.faulty))
-
-
 def _end_fault(b: Hypotheses) -> Hypotheses:
-    mean, cov = b.mean.copy(), b.cov.copy()
-    mean[:, OTHER] = 0.0
-    cov[:, OTHER, :] = cov[:, :, OTHER] = 0.0
-    cov[:, OTHER, OTHER] = MAP_SD**2
-    return b._replace(
-        mean=mean, cov=cov, faulty=np.zeros_like(b.faulty), retention=b.retention * [1.0, 1.0, 1.0, 1.0, 0.0]
-    )
+    return _reset(b, {OTHER: (0.0, MAP_SD)})._replace(faulty=np.zeros_like(b.faulty))
 
 
 def step(hypotheses: Hypotheses, flight: Observation, settings: Settings) -> tuple[Hypotheses, Branching]:

@@ -18,7 +18,6 @@ from hdt_core.estimation.conclude import conclude_at
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum
 from hdt_core.estimation.fit import Identifiability, invert_information
-from hdt_core.estimation.optimisers import swarm_search
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 
 NORMAL = np.array([[4.0, 1.0, -0.5], [1.0, 9.0, 2.0], [-0.5, 2.0, 3.0]])
@@ -233,14 +232,14 @@ def test_a_swarm_flies_as_clerc_and_kennedy_say():
         own[now < best], best = at[now < best], np.minimum(now, best)
     cloud: list = []
     recorded = replace(problem, observe=lambda x, t, i: (cloud.append(t), problem.observe(x, t, i))[1])
-    flown = swarm_search(recorded, np.random.default_rng(5), n_particles=6, n_iterations=12)
+    flown = ParticleSwarm(n_particles=6, n_iterations=12, seed=5).search(recorded)
     np.testing.assert_allclose(cloud[-1][:, :, 0].T, at, rtol=1e-9)
     np.testing.assert_allclose(flown.best, own[np.argmin(best)], rtol=1e-9)
     assert (flown.objective, flown.n_evals) == (pytest.approx(best.min()), 78)
     plain = ParticleSwarm(polish=False)
     assert plain.estimate(problem).n_evals == 30 * 101
     assert (plain.inertia, plain.cognitive, plain.social, plain.seed) == (0.7298, 1.49618, 1.49618, 0)
-    flown = swarm_search(problem, np.random.default_rng(0), n_particles=30, n_iterations=100)
+    flown = ParticleSwarm().search(problem)
     np.testing.assert_array_equal(plain.estimate(problem).belief.mean, flown.best)
     assert ParticleSwarm().estimate(problem).n_evals > 30 * 101
     assert ParticleSwarm().estimate(problem).status == "converged"
