@@ -76,8 +76,7 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
     """Build the model without the fleet's clean level, which needs its flight estimates."""
     flights = flights_of(samples)
     base = flights.filter(pl.col("flight_id").is_in(baseline_flights(flights)))
-    # no leg that is rejected; one without a verdict counts
-    nominal = base.join(legs.filter(~pl.col("admitted")), on=FLIGHT_PACK, how="anti").select(FLIGHT_PACK)
+    nominal = _select_admitted(base, legs).select(FLIGHT_PACK)
     window = baseline_samples(samples)
     cruise = cruise_samples(window).join(nominal, on=FLIGHT_PACK, how="semi")
     packs = flights.select(PACK).unique().sort(PACK)
@@ -156,3 +155,8 @@ def exchanger_levels(twin_flights: pl.DataFrame, dsm: Dsm) -> tuple[PooledLevel,
 def _inputs(window: pl.DataFrame) -> pl.DataFrame:
     columns = [c for c in (*FLIGHT_PACK, "time_utc", *hx.SIGNALS, "monitored") if c in window.columns]
     return window.select(columns).sort(*FLIGHT_PACK, "time_utc")
+
+
+def _select_admitted(base: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
+    """Select flights without a leg that is rejected; those without a verdict count."""
+    return base.join(legs.filter(~pl.col("admitted")), on=FLIGHT_PACK, how="anti")

@@ -79,7 +79,7 @@ class Tracks:
     operator : ndarray of str, shape (packs,)
         Operator of each pack of `curves`.
     onset : ndarray of int, shape (lives, rules)
-        First flight of each life on which each rule of a message is met, from `message_rule.rule_onsets`.
+        First flight of each life on which each rule of a message is met, from `rule_onsets`.
     """
 
     panel: Panel

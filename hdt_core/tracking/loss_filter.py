@@ -141,7 +141,7 @@ def read_checkpoints(rows: pl.DataFrame | None, packs: pl.DataFrame, digests: li
     packs : DataFrame
         `TRACK`, in order.
     digests : list of list of str
-        Of `flight_panel.fingerprints`: digest of each pack's flights before each segment.
+        Of `fingerprints`: digest of each pack's flights before each segment.
     """
     now = [(*packs.row(p), c, digest) for p, segments in enumerate(digests) for c, digest in enumerate(segments)]
     keys = pl.DataFrame(now, schema=_EMPTY.select(CHECKPOINT_KEY).schema, orient="row")
