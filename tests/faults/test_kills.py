@@ -17,7 +17,6 @@ from soundness import faults
 
 from benchmarks.fault_points import POINTS
 from benchmarks.fingerprint import fingerprint
-from pipelines.orchestration.around_night import BusyError, lock_home
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.catalog import connect
 
@@ -88,24 +87,6 @@ def test_asked_to_stop(tiny, children, intact, tmp_path):
     intact(home)
     assert children.night(tiny.landing, home) == (0, "")
     assert fingerprint(home) == tiny.end
-
-
-def test_the_second_of_two_nights_stops_with_a_clear_line(tiny, children, tmp_path):
-    home = children.home(tmp_path / "home")
-    with lock_home(home), pytest.raises(BusyError, match="wait for it to end"), lock_home(home):
-        pass
-    with lock_home(home):
-        ended, message = children.night(tiny.landing, home)
-    assert ended is None
-    assert message.startswith("BusyError: another run (process ")
-    assert not (home / "catalog.duckdb").exists()
-
-
-def test_the_lock_goes_with_the_process(tiny, children, tmp_path):
-    home = children.home(tmp_path / "home")
-    children.night(tiny.landing, home, fault="before_write:1")
-    with lock_home(home):
-        pass
 
 
 def test_readers_never_meet_a_half_published_catalog(tiny, children, tmp_path):

@@ -13,7 +13,7 @@ from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import connect_as_of, publish
-from pipelines.storage.seal import Retention, find_night, remove_expired, retention
+from pipelines.storage.seal import Retention, find_night, remove_expired
 from pipelines.storage.store import Store
 
 AIRCRAFT, FLIGHT = ("AQX", "LX-AAA"), "LX-AAA_20240501_01"
@@ -109,9 +109,3 @@ def test_a_file_of_an_earlier_night_that_is_damaged_is_told(home):
     (home / "tables" / file).write_bytes(b"PAR1")
     with pytest.raises(StoreError, match=f"the night of {re.escape(first)} is not kept whole"):
         connect_as_of(home, first)
-
-
-def test_a_declaration_is_read(tmp_path):
-    assert retention(tmp_path) == Retention(30, ())
-    (tmp_path / "retention.toml").write_text('keep_days = 400\nhold = ["2024-03-01", "2024-05-01"]')
-    assert retention(tmp_path) == Retention(400, ("2024-03-01", "2024-05-01"))

@@ -180,7 +180,9 @@ def test_a_line_that_there_is_not_is_none_that_anybody_saw(tmp_path, line):
     assert log.last_line() == 1
 
 
-def test_no_line_is_ever_changed_or_taken_out(tmp_path):
+def test_no_line_is_ever_changed_or_taken_out_and_who_looks_writes_none(tmp_path):
+    assert CaseLog(tmp_path, "").entries().is_empty()
+    assert list(tmp_path.iterdir()) == []
     CaseLog(tmp_path, "").append(ALERT, "acknowledge", "Ada")
     with sqlite3.connect(tmp_path / FILE) as con:
         for sql in ("update cases set person = 'Eve'", "delete from cases"):
@@ -188,11 +190,6 @@ def test_no_line_is_ever_changed_or_taken_out(tmp_path):
                 con.execute(sql)
     con.close()
     assert CaseLog(tmp_path, "").entries()["person"].to_list() == ["Ada"]
-
-
-def test_who_looks_writes_nothing(tmp_path):
-    assert CaseLog(tmp_path, "").entries().is_empty()
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("damage", ["gone", "damaged"])

@@ -162,13 +162,24 @@ def test_an_idle_night_mends_the_catalog(own_home):
     assert summary["catalog_fault"] is None
 
 
-def test_query_answers_and_says_what_is_wrong(sample_home):
+def test_query_answers_and_says_what_is_wrong_and_an_alert_is_explained(sample_home):
     assert "LX-AAB" in hdt("query", "--home", sample_home, "select distinct tail from flights").stdout
     wrong = hdt("query", "--home", sample_home, "select operatr from flights")
     assert wrong.returncode == 2
     assert "operatr" in wrong.stderr
     assert '"operator"' in wrong.stderr
     assert wrong.stderr.count("\n") == 1
+    columns = "alert_id, evidence, evidence_now, recommended_action"
+    with connect(sample_home) as con:
+        alert = con.execute(f"select {columns} from alerts order by evidence = evidence_now limit 1").fetchone()
+    assert alert is not None
+    text = " ".join(hdt("explain", alert[0][:8], "--home", sample_home).stdout.split())
+    assert finding(alert[1]) in text
+    assert tidy(alert[2]) in text
+    assert alert[3] in text
+    none = hdt("explain", "nosuchalert", "--home", sample_home)
+    assert none.returncode == 2
+    assert "lists them" in none.stderr
 
 
 def test_a_dry_run_names_the_new_files_and_takes_nothing_in(sample_landing, tmp_path):
@@ -193,20 +204,6 @@ def test_status_counts_what_waits(own_home):
     waiting = json.loads(hdt("status", "--home", home, "--json").stdout)["assets"]
     assert waiting["raw_maintenance"]["waiting"] == 1
     assert waiting["raw_flights"]["waiting"] == 0
-
-
-def test_an_alert_is_explained_with_its_evidence_and_what_to_do(sample_home):
-    columns = "alert_id, evidence, evidence_now, recommended_action"
-    with connect(sample_home) as con:
-        alert = con.execute(f"select {columns} from alerts order by evidence = evidence_now limit 1").fetchone()
-    assert alert is not None
-    text = " ".join(hdt("explain", alert[0][:8], "--home", sample_home).stdout.split())
-    assert finding(alert[1]) in text
-    assert tidy(alert[2]) in text
-    assert alert[3] in text
-    none = hdt("explain", "nosuchalert", "--home", sample_home)
-    assert none.returncode == 2
-    assert "lists them" in none.stderr
 
 
 def test_history_may_be_forgotten_and_nothing_is_made_again(own_home):

@@ -11,7 +11,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from graphlib import TopologicalSorter
@@ -95,7 +95,9 @@ def test_a_backfill_with_a_flight_that_its_aircraft_never_flew_ends_well(own_hom
     defs = build_defs(landing=landing, home=home)
     graph, keys = defs.resolve_asset_graph(), [dg.AssetKey(t) for t in ("twin_flights", "residuals")]
     with open_instance(home) as instance:
-        flown, never = flown_and_never(instance)
+        cells = [instance.get_materialized_partitions(key) for key in keys]
+        flown, aircraft = sorted(cells[1])[:2], min(cells[1]).split("|")[0]
+        never = next(c for f in instance.get_dynamic_partitions("flight") if (c := f"{aircraft}|{f}") not in cells[0])
         before = Store(home).snapshot()
         backfill = PartitionBackfill.from_asset_partitions(
             "three", graph, [*flown, never], keys, time.time(), {}, instance, False, None, None, None
@@ -155,18 +157,6 @@ def test_after_a_night_nothing_is_left_for_dagster_and_what_follows_a_newer_pare
         assert {published.get_num_requested(key) for key in (report, *(view.key for view in VIEWS))} == {1}
 
 
-def flown_and_never(instance: dg.DagsterInstance) -> tuple[list[str], str]:
-    """Two cells that hold flights, and one of their aircraft that holds none."""
-    flown = sorted(instance.get_materialized_partitions(dg.AssetKey("residuals")))
-    aircraft = flown[0].split("|")[0]
-    never = next(
-        f"{aircraft}|{flight}"
-        for flight in instance.get_dynamic_partitions("flight")
-        if f"{aircraft}|{flight}" not in instance.get_materialized_partitions(dg.AssetKey("twin_flights"))
-    )
-    return flown[:2], never
-
-
 ROOT = Path(__file__).parents[2]
 DAGSTER = str(Path(sys.executable).with_name("dagster"))
 QUESTION = "{ assetNodes { assetKey { path } } }"
@@ -218,16 +208,6 @@ def new_files(clone: Path) -> str:
     ).stdout.replace("A  ", "")
 
 
-def wait_for(ask: Callable[[], str], process: subprocess.Popen[str]) -> str:
-    """The first answer of a server that is starting."""
-    while True:
-        try:
-            return ask()
-        except (urllib.error.URLError, ConnectionError):
-            assert process.poll() is None, process.communicate()[0][-2000:]
-            time.sleep(0.3)
-
-
 def test_definitions_validate_without_a_home_of_dagsters(clone):
     before = new_files(clone)
     with started(clone, "definitions", "validate", home=False) as process:
@@ -242,18 +222,18 @@ def test_dev_answers_with_a_home_of_dagsters(clone):
     before = new_files(clone)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    request = urllib.request.Request(
-        f"http://127.0.0.1:{port}/graphql",
-        json.dumps({"query": QUESTION}).encode(),
-        {"Content-Type": "application/json"},
-    )
+    address, question = f"http://127.0.0.1:{port}/graphql", json.dumps({"query": QUESTION}).encode()
+    request = urllib.request.Request(address, question, {"Content-Type": "application/json"})
 
-    def ask() -> str:
-        with urllib.request.urlopen(request, timeout=30) as answer:
-            return answer.read().decode()
-
+    nodes = None
     with started(clone, "dev", "--port", str(port), home=True) as process:
-        nodes = json.loads(wait_for(ask, process))["data"]["assetNodes"]
+        while nodes is None:
+            try:
+                with urllib.request.urlopen(request, timeout=30) as answer:
+                    nodes = json.loads(answer.read())["data"]["assetNodes"]
+            except (urllib.error.URLError, ConnectionError):
+                assert process.poll() is None, process.communicate()[0][-2000:]
+                time.sleep(0.3)
         running = new_files(clone)
     assert ["prognoses"] in [n["assetKey"]["path"] for n in nodes]
     assert before == running == new_files(clone)

@@ -78,11 +78,17 @@ def test_an_asset_says_what_it_is(specs, table):
     assert expected is None if spec.partitions_def is None else isinstance(spec.partitions_def, expected)
 
 
-def test_every_asset_has_a_blocking_check_from_its_declaration(defs):
+def test_every_asset_has_a_blocking_check_and_schedule_and_sensor_are_off(defs):
     graph = defs.resolve_asset_graph()
     keys = {(k.asset_key.path[-1], k.name) for k in graph.asset_check_keys}
     assert {(t, CHECK) for t in TABLES} <= keys
     assert all(graph.get(k).blocking for k in graph.asset_check_keys)
+    repository = defs.get_repository_def()
+    assert [s.name for s in repository.schedule_defs] == ["every_night"]
+    sensors = {s.name: s.default_status for s in repository.sensor_defs}
+    assert set(sensors) == {"landing_zone", "publish_what_is_newer", "make_what_follows"}
+    assert set(sensors.values()) == {dg.DefaultSensorStatus.STOPPED}
+    assert repository.schedule_defs[0].default_status == dg.DefaultScheduleStatus.STOPPED
 
 
 def test_an_account_that_does_not_balance_blocks():
@@ -96,15 +102,6 @@ def test_an_account_that_does_not_balance_blocks():
     assert not next(events).passed
     with pytest.raises(dg.Failure, match="not stored: balances"):
         next(events)
-
-
-def test_schedule_and_sensor_are_there_and_off(defs):
-    repository = defs.get_repository_def()
-    assert [s.name for s in repository.schedule_defs] == ["every_night"]
-    sensors = {s.name: s.default_status for s in repository.sensor_defs}
-    assert set(sensors) == {"landing_zone", "publish_what_is_newer", "make_what_follows"}
-    assert set(sensors.values()) == {dg.DefaultSensorStatus.STOPPED}
-    assert repository.schedule_defs[0].default_status == dg.DefaultScheduleStatus.STOPPED
 
 
 def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing, tmp_path, monkeypatch):

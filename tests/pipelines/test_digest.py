@@ -27,7 +27,7 @@ def two_nights(tmp_path_factory) -> Path:
     return home
 
 
-def test_a_digest_tells_what_is_new_worse_closed_and_moved(two_nights):
+def test_a_digest_tells_what_is_new_worse_closed_and_moved_of_an_operators_own(two_nights):
     digest = since(two_nights)
     assert {kind: [r.get("alert_id") for r in rows] for kind, rows in digest.changes.items()} == {
         "new": ["cccc"], "worse": ["aaaa"], "closed": ["bbbb"], "moved": [None],
@@ -38,9 +38,6 @@ def test_a_digest_tells_what_is_new_worse_closed_and_moved(two_nights):
     assert "=wash & look <now>" in text
     assert "=wash &amp; look &lt;now&gt;" in as_html(digest)
     assert json.loads(as_json(digest))["changes"]["closed"][0]["closed_on"] == f"{flight(42)['departed_at']:%Y-%m-%d}"
-
-
-def test_the_same_night_twice_is_no_change_and_an_operator_sees_its_own(two_nights):
     with connect(two_nights) as con:
         now = read_state(con)
     assert not compare(now, now).changes

@@ -56,9 +56,6 @@ def test_what_is_registered_is_known_and_nights_are_told_in_order(ledger):
     for k in range(12):
         ledger.note_night(("2024-01-01", "2024-01-01", k, 0, 0, 0, "{}"))
     assert ledger.nights()["files"].to_list() == [str(k) for k in range(12)]
-
-
-def test_a_file_delivered_again_is_known_by_its_new_content_and_keeps_its_flights(ledger):
     ledger.register([("a/1.csv", *A, "acms", 9, 9, "new")], {"a/1.csv": ["LX-AAA_20240103_01"]})
     assert ledger.file_records()["a/1.csv"][:2] == (9, 9)
     flight_inputs = ledger.flight_inputs().filter(pl.col("tail") == A[1])
@@ -75,12 +72,16 @@ def test_a_cell_marked_again_has_its_last_version(ledger):
     assert ledger.cells("raw_flights").height == 2
 
 
-def test_a_run_asks_about_its_own_aircraft_and_the_fleet(ledger):
+def test_a_run_asks_about_its_own_aircraft_its_flights_and_the_fleet(ledger):
     ledger.mark("raw_flights", _cells((*A, "f1", "v1"), (*B, "f1", "v1"), ("", "", "", "fleet")))
     own = ledger.of([A])
     assert set(own.cells("raw_flights")["tail"]) == {A[1], ""}
     assert set(own.flight_inputs()["tail"]) == {A[1]}
     assert own.files(["acms"])["path"].to_list() == ["a/1.csv"]
+    cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": list("abc"), "version": list("123")})
+    ledger.mark("raw_flights", cells)
+    assert ledger.of([("AAA", "T1")], ["b", "x"]).cells("raw_flights").rows() == [("AAA", "T1", "b", "2")]
+    assert ledger.of([("AAA", "T1")], map(str, range(20_000))).cells("raw_flights").height == 3
 
 
 def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
@@ -193,13 +194,6 @@ def test_what_moved_since_it_was_settled_is_known_until_it_is_settled_again(ledg
     assert not ledger.is_settled("otherwise")
     ledger.mark("features", _cells((*A, "", "1")))
     assert not ledger.is_settled("so")
-
-
-def test_cells_of_some_flights_are_those_of_the_whole_that_are_named(ledger):
-    cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": list("abc"), "version": list("123")})
-    ledger.mark("raw_flights", cells)
-    assert ledger.of([("AAA", "T1")], ["b", "x"]).cells("raw_flights").rows() == [("AAA", "T1", "b", "2")]
-    assert ledger.of([("AAA", "T1")], map(str, range(20_000))).cells("raw_flights").height == 3
 
 
 def test_an_aircrafts_cells_come_as_one_text(ledger):

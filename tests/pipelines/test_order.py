@@ -95,6 +95,7 @@ def shared(flights: dict[str, int], keys: list[str]) -> list[tuple[str, ...]]:
 )
 def test_aircraft_share_a_run_up_to_a_number_of_flights(each, expected):
     assert shared(dict.fromkeys(KEYS, each), KEYS) == expected
+    assert shared(dict.fromkeys(KEYS, 1), [KEYS[0], *KEYS[2:]]) == [("AAA:T1",), ("AAA:T3", "BBB:T4")], "one not wanted"
 
 
 def test_processes_share_runs_evenly():
@@ -104,10 +105,6 @@ def test_processes_share_runs_evenly():
     cells = cells_of(*(("AAA", key[4:], "") for key in keys))
     assert [b.size for b in index.batches("aircraft", cells, batch_factor=2, n_processes=2)] == [13, 13, 13, 11]
     assert [b.size for b in index.batches("aircraft", cells, batch_factor=2)] == [17, 17, 16]
-
-
-def test_an_aircraft_that_is_not_wanted_parts_the_range():
-    assert shared(dict.fromkeys(KEYS, 1), [KEYS[0], *KEYS[2:]]) == [("AAA:T1",), ("AAA:T3", "BBB:T4")]
 
 
 def test_batches_of_flights_hold_the_wanted_cells_and_no_other():
@@ -190,32 +187,23 @@ def test_a_run_that_only_fails_for_several_aircraft_at_once_is_told(monkeypatch)
     assert (done.failed, done.repairs) == ({f"alerts: {KEYS[1]}": "no"}, ())
 
 
-class Apart(Runner):
-    """A runner whose whole batch fails and whose parts do not."""
+class OfOneAircraft(Runner):
+    """Of four flights fails as a whole and no part; of eight two flights for one reason, and a third for its own."""
 
     def _run(self, tables, batch, label):
-        return "disk full" if len(batch.cells) == 4 else None
-
-
-def test_a_batch_of_one_aircraft_whose_halves_are_made_is_mended_and_not_failed():
-    batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(4)))
-    done = Apart(None, None, None, {}).make([], batch, "twins")
-    line = "twins: a run of 1 aircraft stopped, so each part was made alone; report it: disk full"
-    assert (done.runs, done.failed, done.repairs) == (3, {}, (line,))
-
-
-class Halved(Runner):
-    """A runner whose two bad flights fail for one reason, and a third for its own."""
-
-    def _run(self, tables, batch, label):
-        flown = {flight for _, flight in batch.cells}
-        return "boom" if flown & {"3", "6"} else "bang" if "5" in flown else None
+        flown = "".join(flight for _, flight in batch.cells)
+        bad = "boom" if {*flown} & {*"36"} else "bang" if "5" in flown else None
+        return bad if label == "twins" else "disk full" if flown == "0123" else None
 
     def _describe_flights(self, batch):
         return f"flight {batch.flights[0]}"
 
 
-def test_each_reason_is_told_once_with_the_flights_it_stopped():
+def test_halves_that_are_made_mend_a_batch_and_each_reason_is_told_once_with_its_flights():
+    batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(4)))
+    done = OfOneAircraft(None, None, None, {}).make([], batch, "legs")
+    line = "legs: a run of 1 aircraft stopped, so each part was made alone; report it: disk full"
+    assert (done.runs, done.failed, done.repairs) == (3, {}, (line,))
     batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(8)))
-    done = Halved(None, None, None, {}).make([], batch, "twins")
+    done = OfOneAircraft(None, None, None, {}).make([], batch, "twins")
     assert list(done.failed.values()) == ["flight 3, flight 6: boom; flight 5: bang"]

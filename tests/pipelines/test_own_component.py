@@ -170,7 +170,7 @@ def test_the_loss_is_known_as_it_was_made(world):
         assert np.mean([abs(e) < 4 * estimates[flight_id(tail, k)][1] + 0.005 for k, e in enumerate(off)]) > 0.97
 
 
-def test_the_alert_comes_before_the_message_and_ends_with_the_unit(world):
+def test_the_alert_comes_before_the_message_and_remaining_life_holds_the_truth(world):
     alerts = query_rows(
         world, "select tail, raised_flight_id, closed_at, recommended_action from alerts where component = 'NG'"
     )
@@ -182,10 +182,6 @@ def test_the_alert_comes_before_the_message_and_ends_with_the_unit(world):
     assert query_rows(world, "select outcome from alert_outcomes where component = 'NG'") == [("confirmed",)]
     ((lead,),) = query_rows(world, "select lead_flights from alert_lead_times where component = 'NG'")
     assert 60 < lead < 130
-
-
-def test_remaining_life_holds_the_truth(world):
-    """From the flight that the wear shows on: nine of ten intervals hold, and the middle is near."""
     what = "flight_id, rul_low, rul_flights, rul_high, p_event_50"
     prognoses = {f: row for f, *row in query_rows(world, f"select {what} from prognoses where tail = 'AQ-WORN'")}
     left = {k: FAILS - k for k in range(80, FAILS)}
@@ -201,7 +197,7 @@ def test_remaining_life_holds_the_truth(world):
     assert sound < 0.1
 
 
-def test_bad_rows_are_told_and_cost_nothing_else(world):
+def test_bad_rows_are_told_and_cost_nothing_else_and_the_report_names_each_unit(world, tmp_path):
     sql = "select row, column_name, reason from quarantine where file like '%AQ-SOUND/ng/%' order by all"
     entries = set(query_rows(world, sql))
     assert {
@@ -216,9 +212,6 @@ def test_bad_rows_are_told_and_cost_nothing_else(world):
         "select sum(delivered), sum(loaded), sum(quarantined) from deliveries where file like '%AQ-SOUND/ng/%.csv'",
     )
     assert (delivered, loaded, quarantined) == (20 * FLIGHTS, 20 * FLIGHTS - 2, 2)
-
-
-def test_the_catalog_is_sound_and_the_report_names_each_unit(world, tmp_path):
     assert faults(world["home"], world["landing"]) == []
     page = tmp_path / "report.html"
     assert hdt(world, "report", "--out", page).returncode == 0

@@ -38,7 +38,7 @@ def test_figures_are_pictures_and_tables_hold_every_form_and_unit(calibrated):
     assert metadata["units_that_drift"] == 2
 
 
-def test_line_of_figure_12_follows_the_diffuser(calibrated, monkeypatch):
+def test_line_of_figure_12_follows_the_diffuser_and_its_image_is_the_same_bytes(calibrated, monkeypatch):
     _, dsm, flights = calibrated
     fit = replace(dsm.compressor, group_m3=9e-4, vda_counts=400.0, group_slope_m3_per_count=5e-7)
     counts, group = figure_12(flights, fit).axes[0].lines[-1].get_data()
@@ -50,6 +50,7 @@ def test_line_of_figure_12_follows_the_diffuser(calibrated, monkeypatch):
     page = figures.inlet_group(Facts({"twin": twin}, {}, replace(dsm, compressor=fit), {}))
     assert [of[1:] for of in drawn] == [(fit, "si"), (fit, "us")]
     assert set(page["images"]) == {"si", "us"}
+    assert as_svg(figure_12(flights, dsm.compressor)) == as_svg(figure_12(flights, dsm.compressor))
 
 
 @pytest.mark.parametrize(("draw", "column"), [(figure_12, "group_m3"), (figure_13, "diameter_m")])
@@ -81,11 +82,6 @@ def test_figure_15_shows_what_the_twins_flight_leaves_over_and_converts_it(calib
     assert lower_us.lines[-1].get_ydata() == pytest.approx(1.8 * lower.lines[-1].get_ydata())
 
 
-def test_an_image_is_the_same_bytes_whatever_was_drawn_before(calibrated):
-    _, dsm, flights = calibrated
-    assert as_svg(figure_12(flights, dsm.compressor)) == as_svg(figure_12(flights, dsm.compressor))
-
-
 def test_the_deepest_loss_before_a_replacement_is_shown_from_the_first_flight_after_it():
     start, replaced = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC), 40
     own = {"operator": "AAA", "pack": 1}
@@ -103,17 +99,13 @@ def test_the_deepest_loss_before_a_replacement_is_shown_from_the_first_flight_af
     assert rows["n"].to_list() == list(range(-replaced - 1, 80 - replaced - 1))
 
 
-def test_without_a_flight_there_is_still_something_to_show(calibrated):
-    fleet, _, _ = calibrated
+def test_without_a_flight_or_its_estimate_there_is_still_something_to_show(calibrated):
+    fleet, model, _ = calibrated
     none = fleet.samples.clear()
     dsm = calibrate(none, fleet.legs.clear(), fleet.maintenance)
     metadata = calibration_metadata(none, estimate_flights(none, dsm), fleet.maintenance, dsm)
     assert metadata["units_that_drift"] == 0
-
-
-def test_a_flight_without_an_estimate_has_no_picture_and_costs_no_calibration(calibrated):
-    """An outlet hotter than the inlet: the model has an answer and the twin none."""
-    fleet, dsm, _ = calibrated
+    # an outlet hotter than the inlet: the model has an answer and the twin none
     heated = fleet.samples.with_columns(hx_out_k=pl.col("hx_in_k") + 20.0)
-    metadata = calibration_metadata(heated, estimate_flights(heated, dsm), fleet.maintenance, dsm)
+    metadata = calibration_metadata(heated, estimate_flights(heated, model), fleet.maintenance, model)
     assert "figure_15" in metadata

@@ -60,7 +60,10 @@ def test_what_is_wrong_is_named_with_its_file(tmp_path, read, name, text, messag
         read(tmp_path)
 
 
-def test_a_night_may_be_a_date_of_toml(tmp_path):
+def test_nights_are_held_and_one_may_be_a_date_of_toml(tmp_path):
+    assert retention(tmp_path) == Retention(30, ())
+    (tmp_path / "retention.toml").write_text('keep_days = 400\nhold = ["2024-03-01", "2024-05-01"]')
+    assert retention(tmp_path) == Retention(400, ("2024-03-01", "2024-05-01"))
     (tmp_path / "retention.toml").write_text("hold = [2024-03-01, '2024-03-02T04:00']")
     assert retention(tmp_path) == Retention(30, ("2024-03-01", "2024-03-02T04:00"))
 
@@ -88,12 +91,9 @@ def test_a_night_says_so_before_it_does_anything(sample_landing, tmp_path, monke
     assert not (tmp_path / "tables").exists()
 
 
-def test_days_of_a_command_are_days_too(sample_home):
+def test_nobody_but_owner_and_group_reads_a_home_and_days_of_a_command_are_days(sample_home):
     answer = CliRunner().invoke(app, ["tidy", "--home", str(sample_home), "--keep-days", "99999999999"])
     assert answer.exit_code == 2
-
-
-def test_nobody_but_owner_and_group_reads_a_home_and_its_owner_alone_who_did_what(sample_home):
     modes = {f: stat.S_IMODE(f.stat().st_mode) for f in (sample_home, *sample_home.rglob("*"))}
     assert [f for f, mode in modes.items() if mode & 0o007] == []
     ledger = {f: mode for f, mode in modes.items() if f.name.startswith("ledger.") and "sealed" not in f.name}

@@ -87,7 +87,7 @@ def test_two_writers_of_one_month_lose_nothing(store):
     assert [flight for flight, _ in stored_rows(store)] == sorted(days[0] + days[1])
 
 
-def test_a_table_that_is_not_there_yet_reads_as_empty_with_its_columns(store):
+def test_a_table_that_is_not_there_yet_reads_as_empty_and_the_fleets_has_one_shard(store):
     frame = store.read_table("prognoses")
     assert frame.is_empty()
     assert frame.columns == list(TABLES["prognoses"].schema.columns())
@@ -95,9 +95,6 @@ def test_a_table_that_is_not_there_yet_reads_as_empty_with_its_columns(store):
     store.declare(["prognoses"])
     assert len(store.tables.shards("prognoses")) == 1
     assert store.read_table("prognoses").equals(frame)
-
-
-def test_the_fleet_has_one_shard(store):
     for version in ("1", "2"):
         row = pl.DataFrame({"model_version": [version], "card": ["{}"], "model": [b"x"]})
         store.replace("prognosis_model", [FLEET], row)
@@ -117,16 +114,13 @@ def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
     assert Store(tmp_path / "home").place.url == str(tmp_path / "home/tables")
 
 
-def test_the_same_rows_make_the_same_file_and_no_commit(store):
+def test_the_same_rows_make_no_commit_and_many_aircraft_one(store):
     ids = [MAY, MAY_TOO]
     merge(store, ids)
     first, version = store.tables.shards("raw_flights"), store.tables.open("raw_flights").version()
     merge(store, ids[::-1])
     assert store.tables.shards("raw_flights") == first
     assert store.tables.open("raw_flights").version() == version
-
-
-def test_many_aircraft_change_in_one_commit(store):
     other = ("BZR", "LX-AAA")
     both = pl.concat([flights_of(MAY), flights_of(MAY).with_columns(operator=pl.lit("BZR"))])
     store.merge("raw_flights", {AIRCRAFT: [MAY], other: [MAY]}, both)
@@ -160,20 +154,16 @@ def test_a_key_that_would_stand_twice_is_refused_also_beside_rows_that_are_there
 
 
 @pytest.mark.parametrize("table", TABLES)
-def test_what_is_declared_is_what_delta_lake_can_keep(table):
-    empty = TABLES[table].schema.create_empty()
-    read_back = pl.from_arrow(pa.schema(Schema.from_arrow(empty.to_arrow().schema).to_arrow()).empty_table())
-    assert read_back.schema == empty.schema
-
-
-@pytest.mark.parametrize("table", TABLES)
-def test_every_table_opens_with_polars_pyarrow_and_duckdb(sample_home, table):
+def test_every_table_opens_with_polars_pyarrow_and_duckdb_as_it_is_declared(sample_home, table):
     rows, path = Store(sample_home).read_table(table).height, str(sample_home / "tables" / table)
     delta = DeltaTable(path)
     assert pl.read_delta(path).height == pl.scan_delta(path).collect().height == rows
     assert delta.to_pyarrow_table().num_rows == delta.to_pyarrow_dataset().count_rows() == rows
     query = "select count(columns(*)) from read_parquet($files)", {"files": delta.file_uris()}
     assert max(duckdb.sql(query[0], params=query[1]).fetchall()[0]) == rows
+    empty = TABLES[table].schema.create_empty()
+    read_back = pl.from_arrow(pa.schema(Schema.from_arrow(empty.to_arrow().schema).to_arrow()).empty_table())
+    assert read_back.schema == empty.schema
 
 
 def test_a_table_is_opened_once_whoever_asks_and_again_after_anothers_commit(tmp_path, monkeypatch):

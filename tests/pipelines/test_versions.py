@@ -145,16 +145,13 @@ def test_whatever_an_asset_reads_counts_in_its_version(asset):
         assert {MAKER[t].name for t in stage.parents} <= {MAKER[t].name for t in read}
 
 
-def test_a_function_that_reads_what_its_lineage_does_not_follow_is_refused():
+def test_what_a_lineage_follows_is_all_that_is_read_and_no_concern_of_who_follows_a_baseline():
     def residuals(raw_fleet: pl.DataFrame) -> pl.DataFrame:
         return raw_fleet
 
     with pytest.raises(ValueError, match="residuals reads raw_fleet"):
         stage(residuals)
-
-
-def test_what_a_baseline_follows_is_no_concern_of_who_follows_the_baseline():
-    """A shop visit after commissioning leaves flights as they are, and makes the track of its aircraft stale."""
+    # a shop visit after commissioning leaves flights as they are, and makes the track of its aircraft stale
     assert "raw_maintenance" not in upstream_tables(STAGE["twin_flights"])
     assert "raw_maintenance" in upstream_tables(STAGE["twin_health"])
 

@@ -147,7 +147,7 @@ def test_under_pseudonyms_no_tail_and_no_key_is_told(given_away, home, operator,
     assert [s for (s,) in (*secrets, *works) if spelt(s) in words] == []
 
 
-def test_pseudonyms_change_names_and_nothing_else(given_away):
+def test_pseudonyms_change_names_and_nothing_else_and_depend_on_the_key_alone(given_away, home):
     plain, masked = given_away(None, None, "parquet"), given_away(None, KEY, "parquet")
     assert plain.rows == masked.rows
     for view in ("health_parameters", "residuals", "features", "fleet_ranking"):
@@ -160,9 +160,6 @@ def test_pseudonyms_change_names_and_nothing_else(given_away):
         assert names.filter(~pl.col(flight).str.starts_with(pl.col("tail") + "_")).is_empty()
     together = masked.frame("flights").join(masked.frame("legs"), on=["operator", "tail", "flight_id"])
     assert together.height == plain.rows["legs"]
-
-
-def test_a_name_depends_on_the_key_alone(home):
     one, two = (access_scope(home, o, KEY).pseudonym("LX-AAB") for o in (None, "AQX"))
     assert one == two != access_scope(home, None, KEY[::-1]).pseudonym("LX-AAB")
 

@@ -144,7 +144,7 @@ def test_a_hostile_question_gets_no_answer_and_leaves_nothing(watched, question)
 def test_the_catalogs_lock_holds_without_the_commands_own_check_and_an_honest_question_is_answered(watched):
     """Who has a connection, the report for one, can't reach a file or the network either, nor take the lock off."""
     with connect(watched.home) as con:
-        for sql in (*QUESTIONS[:7], *QUESTIONS[14:19]):
+        for sql in (*QUESTIONS[:7], *QUESTIONS[14:19], QUESTIONS[20]):
             with pytest.raises(duckdb.Error):
                 con.execute(sql.format(home=watched.home)).fetchall()
     with connect(watched.home) as con:

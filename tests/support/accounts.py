@@ -3,31 +3,13 @@
 import polars as pl
 
 
-def account(
-    delivered: pl.DataFrame, rows: pl.DataFrame, duplicates: pl.DataFrame, quarantined: pl.DataFrame
-) -> pl.DataFrame:
-    """Ledger per file: delivered, loaded, quarantined, duplicate, and whether they balance.
-
-    Parameters
-    ----------
-    delivered : DataFrame
-        `file, n_delivered`, counted when the file was opened and not derived from the other three.
-    rows, duplicates, quarantined : DataFrame
-        What `merge_deliveries` returned.
-
-    Returns
-    -------
-    DataFrame
-        `file, delivered, loaded, quarantined, duplicate, balanced`, sorted by file.
-    """
+def balances(delivered: pl.DataFrame, rows: pl.DataFrame, duplicates: pl.DataFrame, quarantined: pl.DataFrame) -> bool:
+    """Whether each file's rows are loaded, set aside or duplicate: `delivered` counts them as the file is opened."""
     parts = (
-        rows.group_by("file").agg(pl.len().cast(pl.Int64).alias("loaded")),
-        quarantined.group_by("file").agg(pl.col("n_rows").sum().alias("quarantined")),
-        duplicates.group_by("file").agg(pl.col("n_duplicate").sum().alias("duplicate")),
+        delivered.group_by("file").agg(pl.col("n_delivered").sum().alias("n")),
+        rows.group_by("file").agg(-pl.len().cast(pl.Int64).alias("n")),
+        quarantined.group_by("file").agg(-pl.col("n_rows").sum().cast(pl.Int64).alias("n")),
+        duplicates.group_by("file").agg(-pl.col("n_duplicate").sum().cast(pl.Int64).alias("n")),
     )
-    ledger = delivered.group_by("file").agg(pl.col("n_delivered").sum().alias("delivered"))
-    for part in parts:
-        ledger = ledger.join(part, on="file", how="full", coalesce=True, validate="m:1")
-    ledger = ledger.with_columns(pl.col("delivered", "loaded", "quarantined", "duplicate").fill_null(0))
-    balanced = pl.col("delivered") == pl.col("loaded") + pl.col("quarantined") + pl.col("duplicate")
-    return ledger.with_columns(balanced.alias("balanced")).sort("file")
+    left = pl.concat(part.select("file", pl.col("n").cast(pl.Int64)) for part in parts)
+    return left.group_by("file").agg(pl.col("n").sum()).filter(pl.col("n") != 0).is_empty()

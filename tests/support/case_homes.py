@@ -35,9 +35,6 @@ def publish_losses(home: Path, loss: float, **tables: list[dict]) -> Path:
 
 
 def _alert(name: str, raised: int, closed: int | None = None) -> dict:
-    last = {
-        "now_flight_id": flight(59 if closed is None else closed)["flight_id"],
-        "evidence_now": "e",
-        "raised_severity": "medium",
-    }
+    now = flight(59 if closed is None else closed)["flight_id"]
+    last = {"now_flight_id": now, "evidence_now": "e", "raised_severity": "medium"}
     return OWN | alert(name, raised, closed) | last | {"recommended_action": "<b>wash</b>"}

@@ -51,13 +51,8 @@ def flight(n: int, *, tail: str = "T-1", operator: str = "AAA") -> dict:
     """Flight n of a tail that flies once a day."""
     at = START + dt.timedelta(days=n)
     name = f"{tail}_{at:%Y%m%d}_01"
-    return {
-        "operator": operator,
-        "tail": tail,
-        "flight_id": name,
-        "departed_at": at,
-        "landed_at": at + dt.timedelta(hours=2),
-    }
+    times = {"departed_at": at, "landed_at": at + dt.timedelta(hours=2)}
+    return {"operator": operator, "tail": tail, "flight_id": name} | times
 
 
 def fouling(n: int, value: float, *, tail: str = "T-1", pack: int = 1) -> dict:
@@ -72,11 +67,8 @@ def replaced(n: int, finding: str | None = "FOULED", component: str = "HX") -> d
 
 
 def message(n: int, code: str = "21-52-HXTEMP") -> dict:
-    return OWN | {
-        "message_time": START + dt.timedelta(days=n, hours=1),
-        "flight_id": flight(n)["flight_id"],
-        "code": code,
-    }
+    at = START + dt.timedelta(days=n, hours=1)
+    return OWN | {"message_time": at, "flight_id": flight(n)["flight_id"], "code": code}
 
 
 def alert(name: str, n: int, closed: int | None = None, component: str = "HX") -> dict:

@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Callable
+from typing import Any
 
 import polars as pl
 import pyarrow as pa
@@ -113,10 +114,10 @@ def annotated(content: bytes) -> bytes:
     return written(table.cast(noted))
 
 
-def written(table: pa.Table) -> bytes:
+def written(table: pa.Table, **options: Any) -> bytes:
     """An Arrow table as a Parquet file."""
     sink = io.BytesIO()
-    pq.write_table(table, sink)
+    pq.write_table(table, sink, **options)
     return sink.getvalue()
 
 
@@ -142,9 +143,8 @@ def decimals(content: bytes) -> bytes:
 
 def flip(content: bytes) -> bytes:
     """History with a byte of its data pages flipped, pages carrying checksums."""
-    sink = io.BytesIO()
-    pq.write_table(pq.read_table(io.BytesIO(parquet(content))), sink, write_page_checksum=True, compression="none")
-    spoiled = bytearray(sink.getvalue())
+    table = pq.read_table(io.BytesIO(parquet(content)))
+    spoiled = bytearray(written(table, write_page_checksum=True, compression="none"))
     spoiled[2000] ^= 0x10
     return bytes(spoiled)
 
@@ -153,10 +153,9 @@ def claims_too_much(_: bytes) -> bytes:
     """Under half a megabyte that unpacks to a gigabyte."""
     zeros = pa.nulls(3_000_000, pa.int32()).fill_null(0)
     big = pa.table(dict.fromkeys(("flight_id", "report_time", "pack", *SIGNAL_NAMES), zeros))
-    sink = io.BytesIO()
-    pq.write_table(big, sink, compression="zstd", row_group_size=3_000_000)
-    assert sink.tell() < 500_000
-    return sink.getvalue()
+    bomb = written(big, compression="zstd", row_group_size=3_000_000)
+    assert len(bomb) < 500_000
+    return bomb
 
 
 def long_words(content: bytes) -> bytes:

@@ -183,12 +183,17 @@ def test_class(case, good_flight, deliver, read):
         assert faults["row"].null_count() == 0
 
 
-def test_a_bad_value_costs_that_value_alone(good_flight, deliver, read):
+def test_a_bad_value_costs_that_value_alone_and_one_bad_file_blocks_nothing(good_flight, deliver, read):
     files = deliver({CSV: field(7, "hx_out_degc", b"ERR")(good_flight)})
     spoiled = read(files).rows.filter(pl.col("row_in_file") == 8)
     good = read(deliver({CSV: good_flight})).rows.filter(pl.col("row_in_file") == 8)
     assert spoiled["hx_out_k"].item() is None
     assert spoiled.drop("hx_out_k").equals(good.drop("hx_out_k"))
+    spoils = [c.spoil for c in CASES if c.path == CSV and c is not KEEP]
+    bad = {f"AQX/LX-AAA/acms/BAD_{i}.csv": spoil(good_flight) for i, spoil in enumerate(spoils)}
+    alone = read(deliver({CSV: good_flight})).rows
+    together = read(deliver({CSV: good_flight, **bad})).rows.filter(pl.col("file") == CSV)
+    assert together.equals(alone)
 
 
 def test_units_are_those_of_physics(good_flight, deliver, read):
@@ -202,20 +207,14 @@ def test_units_are_those_of_physics(good_flight, deliver, read):
     assert row["cc_speed_rad_s"] == pytest.approx(12904 * 1.047198e-1, rel=1e-6)
 
 
-def test_csv_and_history_of_a_flight_say_the_same(good_flight, deliver, read, now):
+def test_csv_and_history_say_the_same_local_time_is_converted_and_a_leap_day_is_a_day(good_flight, deliver, read, now):
     rows = read(deliver({CSV: good_flight, HISTORY: parquet(good_flight)})).rows
     merged = merge_deliveries([rows], {})
     assert merged.rows.height == N
     assert merged.duplicates["n_duplicate"].sum() == N
     assert merged.quarantine.is_empty()
-
-
-def test_local_time_with_offset_is_converted(good_flight, deliver, read):
     shifted = read(deliver({CSV: retimed(lambda t: t[:-1] + "+02:00")(good_flight)})).rows["time_utc"]
     assert (read(deliver({CSV: good_flight})).rows["time_utc"] - shifted == timedelta(hours=2)).all()
-
-
-def test_leap_day_is_a_day(good_flight, deliver, read):
     content = good_flight.replace(b"20240525", b"20240229").replace(b"2024-05-25", b"2024-02-29")
     content = content.replace(b"2024-05-26", b"2024-03-01")
     intake = read(deliver({"AQX/LX-AAA/acms/LX-AAA_20240229_04.csv": content}))
@@ -223,22 +222,11 @@ def test_leap_day_is_a_day(good_flight, deliver, read):
     assert intake.quarantine.is_empty()
 
 
-def test_one_bad_file_blocks_nothing(good_flight, deliver, read):
-    spoils = [c.spoil for c in CASES if c.path == CSV and c is not KEEP]
-    bad = {f"AQX/LX-AAA/acms/BAD_{i}.csv": spoil(good_flight) for i, spoil in enumerate(spoils)}
-    alone = read(deliver({CSV: good_flight})).rows
-    together = read(deliver({CSV: good_flight, **bad})).rows.filter(pl.col("file") == CSV)
-    assert together.equals(alone)
-
-
-def test_unknown_tail_and_tail_of_another_operator_are_noted_and_kept(good_flight, deliver, read):
+def test_a_tail_of_another_operator_and_a_file_that_vanished_are_noted(good_flight, deliver, read):
     intake = read(deliver({"fleet.csv": b"operator,tail,packs\nBZR,LX-AAA,2\n", CSV: good_flight}))
     assert intake.rows.height == N
     assert intake.quarantine["reason"].to_list() == ["unknown_tail"]
     assert "BZR" in intake.quarantine["detail"].item()
-
-
-def test_a_file_that_vanished_is_reported(good_flight, deliver, read):
     files = deliver({CSV: good_flight})
     Path(files[0].full_path).unlink()
     assert read(files).quarantine["reason"].to_list() == ["cannot_open"]
@@ -252,13 +240,10 @@ def test_values_at_fault_are_listed_up_to_a_limit_and_counted_beyond(good_flight
     assert "152 more" in faults.filter(pl.col("row").is_null())["detail"].item()
 
 
-def test_every_reason_is_met_by_a_test():
+def test_every_reason_is_met_by_a_test_and_stands_on_the_page_on_bad_input():
     folders = Path(__file__).parents[1], Path(__file__).parents[3] / "extensions/tests"
     source = "".join(p.read_text() for folder in folders for p in folder.glob("**/test_*.py"))
     assert [r for r in REASONS if f'"{r}"' not in source] == []
-
-
-def test_the_page_on_bad_input_holds_the_table_of_reasons():
     page = (Path(__file__).parents[3] / "docs" / "bad-input.md").read_text()
     rows = [f"| `{code}` | {r.scope} | {r.sentence} | {r.remedy} |" for code, r in REASONS.items()]
     assert [line for line in page.splitlines() if line.startswith("| `")] == rows

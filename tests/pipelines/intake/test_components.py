@@ -53,14 +53,11 @@ def read_balanced(*files: LandingFile) -> list[FileIntake]:
     return read
 
 
-def test_two_aircraft_may_name_their_flights_alike(put):
+def test_flights_named_alike_the_longer_of_two_deliveries_and_the_same_again(put):
     files = [put(f"AAA/{tail}/hx/a.csv", lines("CYCLE-0001", 5, hot)) for tail, hot in (("T1", 400), ("T2", 410))]
     read = read_balanced(*files)
     assert [d.n_loaded for d in read] == [5, 5]
     assert [d.rows.filter(signal="hot_in_k")["value"].unique().to_list() for d in read] == [[400.0], [410.0]]
-
-
-def test_of_two_deliveries_of_a_flight_the_longer_is_stored_whole(put):
     short, long = (
         put("AAA/T1/hx/b.csv", lines("C1", 3, 401)),
         put("AAA/T1/hx/a.csv", lines("C1", 6)),
@@ -68,9 +65,6 @@ def test_of_two_deliveries_of_a_flight_the_longer_is_stored_whole(put):
     read = read_balanced(long, short)
     assert [d.n_loaded for d in read] == [6, 0]
     assert read[1].quarantine["reason"].to_list() == ["conflicting_delivery"] * 3
-
-
-def test_the_same_again_is_a_duplicate(put):
     files = [put(f"AAA/T1/hx/{n}.csv", lines("C1", 4)) for n in "ab"]
     read = read_balanced(*files)
     assert sorted((d.n_loaded, d.n_duplicate) for d in read) == [(0, 4), (4, 0)]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from accounts import account
+from accounts import balances
 from pages import walk
 from polars.testing import assert_frame_equal
 from spoils import claims_too_much, long_words
@@ -96,22 +96,19 @@ def test_becomes_what_is_expected(path, intake, logs):
         assert faults["content"].null_count() == 0
 
 
-def test_nothing_else_is_reported(landing, intake, logs):
+def test_nothing_else_is_reported_and_repeated_rows_are_stored_once(landing, intake, logs):
     assert landing.quarantine.is_empty()
     others = [p for p in (*intake.quarantine["file"], *logs) if p not in EXPECTED and p != "fleet.csv"]
     assert not others
     assert logs["fleet.csv"].rows.height == 8
     assert logs["fleet.csv"].quarantine.is_empty()
-
-
-def test_repeated_rows_are_stored_once_and_the_ledger_balances(landing, intake):
     merged = merge_deliveries([intake.rows], {f.path: f.received_at for f in landing.files})
     assert dict(merged.duplicates.select("file", "n_duplicate").rows()) == {
         "AQX/LX-AAA/acms/LX-AAA_20240606_02.csv": 48,
         "AQX/LX-AAB/acms/LX-AAB_20240606_01.csv": 100,
     }
     assert merged.quarantine.is_empty()
-    assert account(intake.delivered, merged.rows, merged.duplicates, intake.quarantine)["balanced"].all()
+    assert balances(intake.delivered, merged.rows, merged.duplicates, intake.quarantine)
 
 
 def test_the_flight_of_the_how_to_is_taken_in_as_the_recorder_gave_it(monkeypatch, now):

@@ -100,15 +100,12 @@ def history(good_flight):
     return sink.getvalue()
 
 
-def test_the_sample_fleet_has_no_row_refused(read):
+def test_the_sample_fleet_has_no_row_refused_one_at_a_time_or_all_at_once(read):
     """0 of 395,012 good rows kept aside, frozen, spiked and dropped-out sensors included."""
     files = [f for f in list_landing(SAMPLES).files if f.kind in ("acms", "history", "cpl")]
     intake = read(files)
     assert intake.delivered["n_delivered"].sum() == 395_012
     assert intake.quarantine.is_empty()
-
-
-def test_one_at_a_time_and_all_at_once_give_the_same(read):
     files = [f for f in list_landing(SAMPLES).files if f.tail == "A9-BAB" and f.kind == "acms"]
     together = read(files)
     alone = [read(f) for f in files]

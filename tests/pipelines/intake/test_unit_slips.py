@@ -113,12 +113,9 @@ def test_a_mach_number_in_knots_is_told_of_its_values(knots, eighth):
     assert count_slips(slips, ("mach",), "It fits knots.") > 0.97 * eighth["mach"].count()
 
 
-def test_a_mach_number_beyond_all_numbers_is_no_unit(eighth):
+def test_a_mach_number_beyond_all_numbers_is_no_unit_and_one_in_knots_is_told_without_pressure(eighth):
     far = pl.when(pl.int_range(pl.len()) % 2 == 0).then(1e300).otherwise(pl.int_range(pl.len()) * 1e90)
     assert find_unit_slips(eighth.with_columns(far.alias("mach"))).is_empty()
-
-
-def test_a_mach_number_in_knots_is_told_without_pressure_to_hold_it_against(eighth):
     alone = eighth.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*PSI, "altitude_ft"))
     slips = find_unit_slips(alone.with_columns(_true_kt(pl.col("mach")).alias("mach")))
     assert count_slips(slips, ("mach",), "It fits knots.") > 0.97 * eighth["mach"].count()

@@ -32,15 +32,14 @@ def test_a_reader_sees_what_was_written(read, words):
         assert within.tags == []
 
 
-def test_hidden_characters_show():
+def test_hidden_characters_show_markup_is_escaped_once_and_an_anchor_fits_an_address():
     assert "\u202e" not in printable("A\u202eB")
     assert "\x00" not in html_text("{a}", a="A\x00B")
-
-
-def test_markup_is_not_escaped_twice():
     assert html_text("a & {b}", b=Markup("<b>")) == "a &amp; <b>"
     assert html_text("a & {b}", b="<b>") == "a &amp; &lt;b&gt;"
     assert in_words("<b> 5 K") == Markup('&lt;b&gt; <span class="si">5 K</span><span class="us">9 °F</span>')
+    assert anchor("pack", "AQX", "LX-AAC", 2) == "pack-AQX-LX-AAC-2"
+    assert anchor('"><b>', 1) == "b-1"
 
 
 def test_a_quantity_is_said_in_both_systems_and_never_in_a_mixture():
@@ -51,8 +50,3 @@ def test_a_quantity_is_said_in_both_systems_and_never_in_a_mixture():
     at = estimate(100.0, None, "W/K at 0.5 kg/s hot")
     assert "W/K" not in at.partition('class="us">')[2].partition("</span>")[0]
     assert '<span class="us">66.1 lb/min</span> hot' in at
-
-
-def test_anchor_is_fit_for_an_address():
-    assert anchor("pack", "AQX", "LX-AAC", 2) == "pack-AQX-LX-AAC-2"
-    assert anchor('"><b>', 1) == "b-1"

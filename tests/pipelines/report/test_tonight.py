@@ -111,10 +111,13 @@ def test_each_diagnosis_has_the_work_of_its_action(tmp_path):
         assert all((work.tools, work.part, work.zone, work.task))
 
 
-def test_a_declared_component_has_the_work_of_its_declaration(tmp_path):
+def test_a_declared_component_has_the_work_of_its_declaration_and_no_more(tmp_path):
     cac = components()["CAC"]
     alert = {"diagnosis": cac.diagnosis, "component": "CAC", "recommended_action": cac.action, "choice": None}
     assert work_text(read_tasks(tmp_path), alert) == f"Replace: {cac.action}"
+    assert Task(minutes=30, people=1).text() == "30 min, 1 person"
+    assert Task(zone="193").text() == "zone 193"
+    assert Task().text() == ""
 
 
 def test_a_home_replaces_single_values_and_a_diagnosis_takes_the_rest_of_its_component(tmp_path):
@@ -162,12 +165,6 @@ def test_one_action_the_cheapest_where_wear_is_the_cause_else_a_look(tmp_path):
     assert action_of(FOULING | {"diagnosis": "HX_LOW_MARGIN"}, own) == "inspect"
     assert action_of(FOULING | {"choice": None}, {}) == "inspect"
     assert set(ACTIONS) == {"inspect", "wash", "replace", "defer"}
-
-
-def test_the_text_leaves_out_what_is_not_declared():
-    assert Task(minutes=30, people=1).text() == "30 min, 1 person"
-    assert Task(zone="193").text() == "zone 193"
-    assert Task().text() == ""
 
 
 def test_at_the_limits_in_service_the_alerts_are_those_of_the_catalog(sample_home):

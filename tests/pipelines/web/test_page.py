@@ -44,14 +44,6 @@ def page(sample_landing, home) -> Iterator[tuple[int, str]]:
         yield port, token
 
 
-@pytest.fixture(scope="module")
-def plain_port(sample_landing, home) -> Iterator[int]:
-    """Port of the page as it is without an option."""
-    with opened(sample_landing, home) as (port, token):
-        assert token == ""
-        yield port
-
-
 def over_http(port: int, method: str, path: str, query: str | None = None, **headers: str) -> tuple[int, bytes]:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
     own = {"Host": f"127.0.0.1:{port}", "Content-Type": "application/json", "Origin": f"http://127.0.0.1:{port}"}
