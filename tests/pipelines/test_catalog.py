@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import duckdb
@@ -97,10 +98,8 @@ def test_a_catalog_published_while_it_is_opened_is_opened_anew(own_home, monkeyp
 
     monkeypatch.setattr(duckdb, "connect", connect_slowly)
     with connect(home) as con:
-        comment = con.execute(
-            "select comment from duckdb_views() where view_name = 'flights' and schema_name = 'main'"
-        ).fetchone()
-    assert comment == ("new",)
+        views = con.execute("select comment from duckdb_views() where view_name = 'flights' and schema_name = 'main'")
+        assert views.fetchall() == [("new",)]
     assert len(opened) == 2
 
 
@@ -160,15 +159,9 @@ def test_a_catalog_may_be_attached_to_another_database(home, tmp_path):
     moved.rename(home)
 
 
-def _without_a_view(path: Path) -> None:
+def run_sql(sql: str, path: Path) -> None:
     with duckdb.connect(str(path)) as con:
-        con.execute("drop view alerts")
-
-
-def _of_an_earlier_version(path: Path) -> None:
-    path.unlink()
-    with duckdb.connect(str(path)) as con:
-        con.execute("create view flights as select 1 as operator")
+        con.execute(sql)
 
 
 DAMAGE = {
@@ -176,8 +169,8 @@ DAMAGE = {
     "empty": lambda path: path.write_bytes(b""),
     "torn": lambda path: path.write_bytes(path.read_bytes()[:8192] + bytes(path.stat().st_size - 8192)),
     "text": lambda path: path.write_text("no database\n" * 1000),
-    "without a view": _without_a_view,
-    "of an earlier version": _of_an_earlier_version,
+    "without a view": partial(run_sql, "drop view alerts"),
+    "of an earlier version": lambda path: path.unlink() or run_sql("create view flights as select 1 as operator", path),
 }
 
 

@@ -93,14 +93,11 @@ def test_error_is_that_of_the_cramer_rao_bound(estimator):
     assert (np.abs(to_bound.mean(axis=0)) < 4.0 / np.sqrt(len(to_bound))).all()
 
 
-def test_bound_is_the_published_one():
+def test_bound_is_the_published_one_and_the_position_error_of_least_squares_follows():
     # derived once by hand: sd of damping 0.0121 and of stiffness 0.0171, nearly uncorrelated
     bound = fisher(oscillator_problem(0), TRUTH)
     np.testing.assert_allclose(bound.bound_sd, [0.0121, 0.0171], rtol=5e-3)
     assert abs(bound.correlation[0, 1]) < 0.01
-
-
-def test_position_error_of_least_squares_against_the_truth():
     truth = true_position_m()
     mse = [
         np.mean((p.simulate(NonlinearLeastSquares().estimate(p).belief.mean)[:, 0] - truth) ** 2)
@@ -140,24 +137,18 @@ def test_euler_tends_to_the_closed_solution():
     assert errors[1] < 2e-3
 
 
-def test_ranges_are_those_on_paper():
+def test_ranges_and_signal_are_those_on_paper_and_the_equation_keeps_energy():
     assert {p.name: (p.nominal, *p.bounds) for p in SPRING_MASS_DAMPER.params} == {
         "mass_kg": (1.0, 0.1, 10.0), "damping_n_s_m": (0.5, 0.0, 10.0), "stiffness_n_m": (2.0, 0.0, 50.0),
     }  # fmt: skip
-
-
-def test_energy_is_kept_by_the_equation():
-    """Without damper and force, the rate of change of energy is zero at every state."""
+    # without damper and force, the rate of change of energy is zero at every state
     rng = np.random.default_rng(0)
     x, v = rng.normal(size=(2, 100))
     velocity, acceleration = SPRING_MASS_DAMPER.rates(
         force_n=0.0, damping_n_s_m=0.0, stiffness_n_m=2.0, mass_kg=1.5, position_m=x, velocity_m_s=v
     )
     np.testing.assert_allclose(2.0 * x * velocity + 1.5 * v * acceleration, 0.0, atol=1e-14)
-
-
-def test_signal_is_as_small_as_the_paper_s_figure():
-    """Root mean square 0.127 m against a noise of 0.05 m: a ratio of 2.5 a sample."""
+    # root mean square 0.127 m against a noise of 0.05 m: a ratio of 2.5 a sample
     assert np.sqrt(np.mean(euler_position_m(FORCE_N, 0.01, 0.5, 2.0) ** 2)) == pytest.approx(0.127, abs=0.001)
 
 

@@ -100,18 +100,20 @@ def test_an_archive_that_claims_too_much_is_not_unpacked(tmp_path, monkeypatch):
     assert (n_rows, fault.reason) == (0, "too_large")
 
 
-@pytest.mark.parametrize("text", [DEEP, "x = \ud800", "=", f"x = {'9' * 5_000}"])
-def test_what_is_no_toml_is_one_line(tmp_path, text):
-    (tmp_path / "type.toml").write_bytes(text.encode("utf-8", "surrogatepass"))
-    with pytest.raises(AircraftTypeError, match=r"\.toml"):
-        read_type(tmp_path / "type.toml")
-
-
-@pytest.mark.parametrize("entry", [
+SPANS = (
     "lowest = nan", "highest = inf", "highest = 1" + "0" * 400, "lowest = true", "lowest = 'x'", "rate_hz = 0",
     "rate_hz = -1", "lowest = 1, highest = 0",
-])  # fmt: skip
-def test_a_span_of_a_column_is_one(tmp_path, entry):
-    (tmp_path / "type.toml").write_text(TYPE % entry)
-    with pytest.raises(AircraftTypeError, match=r"type\.toml line 4: \[pack\] mach"):
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        *((text, r"\.toml") for text in (DEEP, "x = \ud800", "=", f"x = {'9' * 5_000}")),
+        *((TYPE % entry, r"type\.toml line 4: \[pack\] mach") for entry in SPANS),
+    ],
+)
+def test_what_is_no_toml_and_no_span_of_a_column_is_one_line(tmp_path, text, message):
+    (tmp_path / "type.toml").write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(AircraftTypeError, match=message):
         read_type(tmp_path / "type.toml")

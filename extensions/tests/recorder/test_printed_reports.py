@@ -156,7 +156,7 @@ def read(*texts: str):
     return read_reports(message_file(*texts), LAYOUTS)
 
 
-def test_a_report_says_what_its_layout_declares():
+def test_a_report_says_what_its_layout_declares_in_plain_text_too():
     result = read(OTHER, REPORT, REPORT)
     assert result.rejected == ()
     assert result.undeclared == ("A999 DOOR REPORT(TST)",)
@@ -170,9 +170,6 @@ def test_a_report_says_what_its_layout_declares():
     assert values["N2"] == {"flow": None, "outlet": -3.0, "valve": "1X"}
     assert values["E1"] == {"utc": "12.30.05", "max": 101.5}
     assert values["REASON:"] == {"reason": "NOT CLOSED IN TIME"}
-
-
-def test_plain_text_is_read_as_a_file_of_blocks_is():
     plain = read_reports(REPORT.encode(), LAYOUTS)
     assert [x.values for x in plain.lines] == [x.values for x in read(REPORT).lines]
     assert REPORT.splitlines()[plain.lines[1].line - 1].startswith("N1")

@@ -46,15 +46,12 @@ def test_a_recording_is_decoded_into_a_table(recording, tmp_path):
     assert rows.filter(parameter="CITY")["value"].null_count() == 3
 
 
-def test_only_the_parameters_that_are_named_are_decoded(recording, tmp_path):
+def test_only_parameters_that_are_named_are_decoded_and_an_archive_is_read_by_its_largest_file(recording, tmp_path):
     target = tmp_path / "two.parquet"
     words = ("--parameter", "PITCH", "--parameter", "MODE", "--out", target)
     done = hdt("recorder", "decode", recording[0], "--map", DATA / "demo_717.csv", *words)
     assert done.returncode == 0, done.stderr
     assert pl.read_parquet(target)["parameter"].unique(maintain_order=True).to_list() == ["PITCH", "MODE"]
-
-
-def test_an_archive_is_read_by_its_largest_file(recording, tmp_path):
     archive = tmp_path / "flight.zip"
     with zipfile.ZipFile(archive, "w") as file:
         file.writestr("log.txt", "short")

@@ -88,7 +88,7 @@ def world(tmp_path_factory) -> dict[str, Any]:
     return {"landing": landing, "home": top / "home", "damaged": first.name, "stranger": stranger.name} | crossfed
 
 
-def test_both_types_reach_the_catalog(world):
+def test_both_types_reach_the_catalog_and_two_flights_calibrate_nothing(world):
     counts = ask(world["home"], "select operator, source, count(*) from flights group by all order by all")
     assert counts == [("SAA", "cpl", 2), ("SAB", "component", 2)]
     health = ask(world["home"], "select distinct operator, parameter, status from health_parameters order by all")
@@ -97,9 +97,8 @@ def test_both_types_reach_the_catalog(world):
     assert ("SAB", "hxt_effectiveness_fast", "measured") in health
     assert ("SAA", "cc_efficiency_loss", "not_recorded") in health
     assert {s for _, p, s in health if p in {"hxt_loss", "cac_efficiency_loss"}} == {"prior_only"}
-
-
-def test_two_flights_calibrate_nothing_and_the_prior_carries_them(world):
+    unknown = ask(world["home"], "select distinct status from health_parameters anti join statuses using (status)")
+    assert unknown == []
     design = ask(world["home"], "select distinct component, n_flights, identifiable from design_parameters "
                                 "where component in ('HXT', 'CAC') order by all")  # fmt: skip
     assert design == [("CAC", 0, False), ("HXT", 0, False)]
@@ -140,11 +139,6 @@ def test_what_can_not_be_estimated_is_said(world):
     assert not checks["type slip.toml"].well
 
 
-def test_every_status_is_explained(world):
-    unknown = ask(world["home"], "select distinct status from health_parameters anti join statuses using (status)")
-    assert unknown == []
-
-
 def test_an_accepted_spray_makes_the_calibration_of_components_stale(world):
     ledger = Ledger(world["home"])
     assert find_stale_cells(ledger, STAGE["calibration_components"]).is_empty()
@@ -179,7 +173,7 @@ def read_by_another(recording: str, *names: str) -> list[np.ndarray]:
     return [rows.filter(parameter=name).sort("t_s")["value"].drop_nulls().to_numpy() for name in names]
 
 
-def test_real_recordings_reach_the_catalog(real):
+def test_real_recordings_and_heads_of_reports_reach_the_catalog(real):
     health = {(t, p, n): (v, sd, s) for t, p, n, v, sd, s in ask(
         real, "select tail, pack, parameter, value, sd, status from health_parameters")}  # fmt: skip
     hot_in, hot_out, outside, speed = read_by_another(
@@ -204,9 +198,6 @@ def test_real_recordings_reach_the_catalog(real):
     assert ask(real, "select count(*) from alerts") == [(0,)]
     assert ask(real, "select distinct reason from quarantine order by 1") == [("unknown_report",)]
     assert np.isfinite([v for v, _, s in health.values() if s in {"prior_only", "measured"}]).all()
-
-
-def test_the_heads_of_real_reports_are_stored_and_turn_no_leg_away(real):
     rows = ask(real, "select report, count(*), bool_or(crossfeed_open) from reports group by 1 order by 1")
     assert [r for r, _, _ in rows] == ["08", "10", "13", "15", "18", "37", "50"]
     assert {r: c for r, _, c in rows}["10"]  # an engine is started by the other's air

@@ -6,26 +6,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from spoils import (
-    Spoil,
-    annotated,
-    column,
-    decimals,
-    drop,
-    exchanged,
-    extra,
-    field,
-    fields_of,
-    flip,
-    joined,
-    line_as,
-    parquet,
-    rename,
-    reorder,
-    retimed,
-    retyped,
-    timed,
-)
+import spoils as by
 
 from pipelines.intake.faults import REASONS
 from pipelines.intake.merge import merge_deliveries
@@ -42,7 +23,7 @@ class Case:
     """What was done, and what must be said of it."""
 
     name: str
-    spoil: Spoil
+    spoil: by.Spoil
     reason: str | None
     n_entries: int = 1
     n_stored: int = N
@@ -62,107 +43,107 @@ CASES = [
     Case("blank lines only", lambda c: b"\n \n\n", "empty_file", n_stored=0),
     Case("a header of a megabyte", lambda c: b"a," * 500_000 + b"\n" + c, "no_header", n_stored=0),
     Case("blank lines between rows", lambda c: c.replace(b"\n", b"\n\n"), None),
-    Case("Parquet under the name of a CSV", parquet, "not_text", n_stored=0),
-    Case("NUL in a row", line_as(5, b"LX-AAA\x00,,,"), "bad_bytes", n_stored=N - 1),
-    Case("invalid UTF-8 in a row", line_as(5, b"LX-AAA\xff,,,"), "bad_bytes", n_stored=N - 1),
+    Case("Parquet under the name of a CSV", by.parquet, "not_text", n_stored=0),
+    Case("NUL in a row", by.line_as(5, b"LX-AAA\x00,,,"), "bad_bytes", n_stored=N - 1),
+    Case("invalid UTF-8 in a row", by.line_as(5, b"LX-AAA\xff,,,"), "bad_bytes", n_stored=N - 1),
     Case("two files glued together", lambda c: c + c, "repeated_header", n_stored=2 * N),
     # shape
     Case("one field too few", lambda c: c.replace(b",CL,", b",", 1), "wrong_field_count", n_stored=N - 1),
     Case("one too many and one too few", lambda c: c.replace(b",CL,", b",CL,7,", 1).replace(b",DS,", b",", 1),
          "wrong_field_count", n_entries=2, n_stored=N - 2),
     Case("quote that never closes", lambda c: c.replace(b",CL,", b',"CL,', 1), "bad_quoting", n_stored=N - 1),
-    Case("every field quoted", lambda c: joined([[b'"%s"' % f for f in x] for x in fields_of(c)]), None),
+    Case("every field quoted", lambda c: by.joined([[b'"%s"' % f for f in x] for x in by.fields_of(c)]), None),
     Case("tabs", lambda c: c.replace(b",", b"\t"), "wrong_separator", n_stored=0),
     Case("Windows line ends", lambda c: c.replace(b"\n", b"\r\n"), None),
     Case("UTF-8 byte order mark", lambda c: b"\xef\xbb\xbf" + c, "other_encoding"),
     Case("UTF-16", lambda c: c.decode().encode("utf-16"), "other_encoding"),
     Case("UTF-16 without mark", lambda c: c.decode().encode("utf-16-le"), "not_text", n_stored=0),
     # columns
-    Case("column renamed", rename("hx_in_degc", "T_HX_IN"), "missing_columns", n_stored=0, column="hx_in_degc"),
-    Case("key missing", drop("pack"), "missing_columns", n_stored=0, column="pack"),
-    Case("sensor not recorded by this operator", drop("cc_out_degc", "ram_out_degc", "pt_psia"), None),
-    Case("extra column", extra, "extra_columns", column="operator_remark"),
-    Case("extra column where a sensor is not recorded", lambda c: extra(drop("ram_out_degc")(c)), "extra_columns"),
-    Case("column twice", rename("hx_in_degc", "hx_out_degc"), "repeated_column", n_stored=0, column="hx_out_degc"),
-    Case("columns reordered", reorder, None),
+    Case("column renamed", by.rename("hx_in_degc", "T_HX_IN"), "missing_columns", n_stored=0, column="hx_in_degc"),
+    Case("key missing", by.drop("pack"), "missing_columns", n_stored=0, column="pack"),
+    Case("sensor not recorded by this operator", by.drop("cc_out_degc", "ram_out_degc", "pt_psia"), None),
+    Case("extra column", by.extra, "extra_columns", column="operator_remark"),
+    Case("extra column where a sensor is missing", lambda c: by.extra(by.drop("ram_out_degc")(c)), "extra_columns"),
+    Case("column twice", by.rename("hx_in_degc", "hx_out_degc"), "repeated_column", n_stored=0, column="hx_out_degc"),
+    Case("columns reordered", by.reorder, None),
     Case("names in capitals", lambda c: c.replace(c.split(b"\n")[0], c.split(b"\n")[0].upper()), "other_spelling"),
     # values
-    Case("NaN", field(7, "pt_psia", b"NaN"), "not_a_number", column="pt_psia"),
-    Case("inf", field(7, "pt_psia", b"-inf"), "not_a_number", column="pt_psia"),
-    Case("1e999", field(7, "mach", b"1e999"), "not_a_number", column="mach"),
-    Case("decimal comma in quotes", field(7, "mach", b'"0,84"'), "not_a_number", column="mach"),
-    Case("unknown phase code", field(7, "phase_code", b"=cmd()"), "unknown_phase", column="phase_code"),
-    Case("an airport that is none", lambda c: joined([[*x, b"LOWW" if i else b"origin", b"<b>" if i else b"destination"]
-         for i, x in enumerate(fields_of(c))]), "unknown_airport", N, column="destination"),
+    Case("NaN", by.field(7, "pt_psia", b"NaN"), "not_a_number", column="pt_psia"),
+    Case("inf", by.field(7, "pt_psia", b"-inf"), "not_a_number", column="pt_psia"),
+    Case("1e999", by.field(7, "mach", b"1e999"), "not_a_number", column="mach"),
+    Case("decimal comma in quotes", by.field(7, "mach", b'"0,84"'), "not_a_number", column="mach"),
+    Case("unknown phase code", by.field(7, "phase_code", b"=cmd()"), "unknown_phase", column="phase_code"),
+    Case("no airport", lambda c: by.joined([[*x, b"LOWW" if i else b"origin", b"<b>" if i else b"destination"]
+         for i, x in enumerate(by.fields_of(c))]), "unknown_airport", N, column="destination"),
     # units
-    Case("kelvin for degrees", column(("tat_degc", "hx_in_degc", "hx_out_degc", "cc_in_degc"), lambda v: v + 273.15),
+    Case("kelvin for degrees", by.column(("tat_degc", "hx_in_degc", "hx_out_degc", "cc_in_degc"), lambda v: v + 273.15),
          "unit_kelvin", N, 0, "tat_degc"),
-    Case("kPa for psia", column(("pt_psia", "cc_in_psia", "cc_out_psia"), lambda v: v * 6.894757),
+    Case("kPa for psia", by.column(("pt_psia", "cc_in_psia", "cc_out_psia"), lambda v: v * 6.894757),
          "unit_kpa", N, 0, "pt_psia"),
-    Case("kg/s for lb/min", column(("pack_flow_lbpm", "cc_flow_lbpm"), lambda v: v * 0.45359237 / 60),
+    Case("kg/s for lb/min", by.column(("pack_flow_lbpm", "cc_flow_lbpm"), lambda v: v * 0.45359237 / 60),
          "unit_kg_s", N, 0, "pack_flow_lbpm"),
-    Case("metres for feet", column("altitude_ft", lambda v: v * 0.3048), "wrong_unit", N, 0, "altitude_ft"),
-    Case("an altimeter that reads 4,000 ft too much", column("altitude_ft", lambda v: v + 9000), "implausible_pressure",
+    Case("metres for feet", by.column("altitude_ft", lambda v: v * 0.3048), "wrong_unit", N, 0, "altitude_ft"),
+    Case("an altimeter that reads too much", by.column("altitude_ft", lambda v: v + 9000), "implausible_pressure",
          column="altitude_ft"),
-    Case("rad/s for rpm", column("cc_speed_rpm", lambda v: v * 0.10472), "wrong_unit", N - 1, 1, "cc_speed_rpm"),
-    Case("inlet and exit swapped", exchanged("hx_in_degc", "hx_out_degc"), "swapped_columns", N, 0,
+    Case("rad/s for rpm", by.column("cc_speed_rpm", lambda v: v * 0.10472), "wrong_unit", N - 1, 1, "cc_speed_rpm"),
+    Case("inlet and exit swapped", by.exchanged("hx_in_degc", "hx_out_degc"), "swapped_columns", N, 0,
          "hx_in_degc, hx_out_degc"),
     Case("a flight of 1900", lambda c: c.replace(b"2024", b"1900"), "too_early", N, 0, "flight_id",
          path="AQX/LX-AAA/acms/LX-AAA_19000525_04.csv"),
-    Case("dead flow sensor is no slip of units", column("pack_flow_lbpm", lambda v: (v * 7) % 3 - 0.5), None),
+    Case("dead flow sensor is no slip of units", by.column("pack_flow_lbpm", lambda v: (v * 7) % 3 - 0.5), None),
     Case("pack switched off is no slip of units",
-         column(("pack_flow_lbpm", "cc_flow_lbpm", "cc_speed_rpm"), lambda v: 0.5 + 0.01 * (v % 7)), None),
+         by.column(("pack_flow_lbpm", "cc_flow_lbpm", "cc_speed_rpm"), lambda v: 0.5 + 0.01 * (v % 7)), None),
     # sensors: stored as recorded, judged flight by flight afterwards
-    Case("sensor stuck at the end of its range", column("hx_in_degc", lambda v: 300.0), None),
-    Case("drifting sensor", column("hx_out_degc", lambda v: v + 8.0), None),
-    Case("spike within what can be", field(9, "altitude_ft", b"43000.0"), None),
-    Case("value missing", field(9, "altitude_ft", b""), None),
+    Case("sensor stuck at the end of its range", by.column("hx_in_degc", lambda v: 300.0), None),
+    Case("drifting sensor", by.column("hx_out_degc", lambda v: v + 8.0), None),
+    Case("spike within what can be", by.field(9, "altitude_ft", b"43000.0"), None),
+    Case("value missing", by.field(9, "altitude_ft", b""), None),
     # times
-    Case("time missing", retimed(lambda t: ""), "unreadable_time", N, 0, "report_time"),
-    Case("no such day", retimed(lambda t: "2023-02-29" + t[10:]), "unreadable_time", N, 0, "report_time"),
-    Case("clock reset", retimed(lambda t: "1970-01-01" + t[10:]), "time_contradicts_flight_id", N, 0, "report_time"),
-    Case("local time with its offset", retimed(lambda t: t[:-1] + "+02:00"), None),
-    Case("time without zone", retimed(lambda t: t[:-1]), "time_without_zone", column="report_time"),
-    Case("fractions of a second", retimed(lambda t: t[:-1] + ".250Z"), None),
-    Case("clock jumps on the way", lambda c: c[:3000] + retimed(lambda t: "2024-05-26T23" + t[13:])(c[3000:]),
+    Case("time missing", by.retimed(lambda t: ""), "unreadable_time", N, 0, "report_time"),
+    Case("no such day", by.retimed(lambda t: "2023-02-29" + t[10:]), "unreadable_time", N, 0, "report_time"),
+    Case("clock reset", by.retimed(lambda t: "1970-01-01" + t[10:]), "time_contradicts_flight_id", N, 0, "report_time"),
+    Case("local time with its offset", by.retimed(lambda t: t[:-1] + "+02:00"), None),
+    Case("time without zone", by.retimed(lambda t: t[:-1]), "time_without_zone", column="report_time"),
+    Case("fractions of a second", by.retimed(lambda t: t[:-1] + ".250Z"), None),
+    Case("clock jumps on the way", lambda c: c[:3000] + by.retimed(lambda t: "2024-05-26T23" + t[13:])(c[3000:]),
          "clock_jump", column="report_time"),
-    Case("clock runs backwards, rows out of order", lambda c: joined([(x := fields_of(c))[0], *x[:0:-1]]), None),
+    Case("clock runs backwards, rows out of order", lambda c: by.joined([(x := by.fields_of(c))[0], *x[:0:-1]]), None),
     # identity
     Case("flight_id of no such day", lambda c: c.replace(b"_20240525_", b"_20240532_"), "bad_flight_id", N, 0),
     Case("flight_id of another file", lambda c: c.replace(b"_04,", b"_05,"), "flight_id_contradicts_path", N, 0),
-    Case("pack 1.5", field(3, "pack", b"1.5"), "bad_pack", n_stored=N - 1, column="pack"),
-    Case("pack missing", field(3, "pack", b""), "bad_pack", n_stored=N - 1, column="pack"),
+    Case("pack 1.5", by.field(3, "pack", b"1.5"), "bad_pack", n_stored=N - 1, column="pack"),
+    Case("pack missing", by.field(3, "pack", b""), "bad_pack", n_stored=N - 1, column="pack"),
     Case("a copy by another name", lambda c: c, "flight_id_from_column", path=f"AQX/LX-AAA/acms/{FLIGHT} (1).csv"),
     # Parquet
-    Case("good history", parquet, None, path=HISTORY),
-    Case("a copy of history by another name", parquet, "flight_id_from_column",
+    Case("good history", by.parquet, None, path=HISTORY),
+    Case("a copy of history by another name", by.parquet, "flight_id_from_column",
          path="AQX/LX-AAA/acms/history (1).parquet"),
-    Case("a note on a field that is not UTF-8", annotated, None, path=HISTORY),
-    Case("numbers as wide decimals", decimals, None, path=HISTORY),
-    Case("a time no calendar has", timed("ms", "UTC", [2**63 - 1] + [None] * (N - 1)), "unreadable_time",
+    Case("a note on a field that is not UTF-8", by.annotated, None, path=HISTORY),
+    Case("numbers as wide decimals", by.decimals, None, path=HISTORY),
+    Case("a time no calendar has", by.timed("ms", "UTC", [2**63 - 1] + [None] * (N - 1)), "unreadable_time",
          n_stored=N - 1, column="report_time", path=HISTORY),
-    Case("a time no calendar has, before it", timed("us", "Europe/Berlin", [-(2**62)] + [None] * (N - 1)),
+    Case("a time no calendar has, before it", by.timed("us", "Europe/Berlin", [-(2**62)] + [None] * (N - 1)),
          "unreadable_time", n_stored=N - 1, column="report_time", path=HISTORY),
-    Case("times of a zone by its offset", timed("us", "+05:30", [None] * N), None, path=HISTORY),
-    Case("times of a zone nobody knows", timed("ms", "Mars/Phobos", [None] * N), None, path=HISTORY),
-    Case("history cut short", lambda c: parquet(c)[:-100], "cannot_read_parquet", n_stored=0, path=HISTORY),
-    Case("history with a bit flipped", flip, "cannot_read_parquet", n_stored=0, path=HISTORY),
+    Case("times of a zone by its offset", by.timed("us", "+05:30", [None] * N), None, path=HISTORY),
+    Case("times of a zone nobody knows", by.timed("ms", "Mars/Phobos", [None] * N), None, path=HISTORY),
+    Case("history cut short", lambda c: by.parquet(c)[:-100], "cannot_read_parquet", n_stored=0, path=HISTORY),
+    Case("history with a bit flipped", by.flip, "cannot_read_parquet", n_stored=0, path=HISTORY),
     Case("text under the name of Parquet", lambda c: c, "cannot_read_parquet", n_stored=0, path=HISTORY),
-    Case("history without rows", lambda c: parquet(c, pl.DataFrame.clear), "no_rows", n_stored=0, path=HISTORY),
-    Case("column renamed in history", lambda c: parquet(c, lambda f: f.rename({"hx_in_degc": "T_HX_IN"})),
+    Case("history without rows", lambda c: by.parquet(c, pl.DataFrame.clear), "no_rows", n_stored=0, path=HISTORY),
+    Case("column renamed in history", lambda c: by.parquet(c, lambda f: f.rename({"hx_in_degc": "T_HX_IN"})),
          "missing_columns", n_stored=0, column="hx_in_degc", path=HISTORY),
-    Case("numbers retyped as text", retyped(pl.col("mach", "pack", "report_time").cast(pl.String)), None, path=HISTORY),
-    Case("numbers retyped as integers", retyped(pl.col("altitude_ft", "vda_pos").cast(pl.Int64)), None, path=HISTORY),
-    Case("numbers retyped as lists", retyped(pl.concat_list("mach")), "wrong_type", n_stored=0, column="mach",
+    Case("numbers as text", by.retyped(pl.col("mach", "pack", "report_time").cast(pl.String)), None, path=HISTORY),
+    Case("numbers as integers", by.retyped(pl.col("altitude_ft", "vda_pos").cast(pl.Int64)), None, path=HISTORY),
+    Case("numbers retyped as lists", by.retyped(pl.concat_list("mach")), "wrong_type", n_stored=0, column="mach",
          path=HISTORY),
-    Case("times retyped as counts", retyped(pl.col("report_time").dt.epoch()), "wrong_type", n_stored=0,
+    Case("times retyped as counts", by.retyped(pl.col("report_time").dt.epoch()), "wrong_type", n_stored=0,
          column="report_time", path=HISTORY),
     Case("times in nanoseconds without zone",
-         retyped(pl.col("report_time").dt.replace_time_zone(None).dt.cast_time_unit("ns")), "time_without_zone",
+         by.retyped(pl.col("report_time").dt.replace_time_zone(None).dt.cast_time_unit("ns")), "time_without_zone",
          path=HISTORY),
-    Case("NaN for missing", retyped(pl.lit(float("nan")).alias("hx_in_degc")), "not_a_number", n_entries=N,
+    Case("NaN for missing", by.retyped(pl.lit(float("nan")).alias("hx_in_degc")), "not_a_number", n_entries=N,
          column="hx_in_degc", path=CPL),
-    Case("text in a number column of history", retyped(pl.lit("ERR").alias("mach")), "not_a_number", n_entries=N,
+    Case("text in a number column of history", by.retyped(pl.lit("ERR").alias("mach")), "not_a_number", n_entries=N,
          column="mach", path=HISTORY),
 ]  # fmt: skip
 
@@ -184,7 +165,7 @@ def test_class(case, good_flight, deliver, read):
 
 
 def test_a_bad_value_costs_that_value_alone_and_one_bad_file_blocks_nothing(good_flight, deliver, read):
-    files = deliver({CSV: field(7, "hx_out_degc", b"ERR")(good_flight)})
+    files = deliver({CSV: by.field(7, "hx_out_degc", b"ERR")(good_flight)})
     spoiled = read(files).rows.filter(pl.col("row_in_file") == 8)
     good = read(deliver({CSV: good_flight})).rows.filter(pl.col("row_in_file") == 8)
     assert spoiled["hx_out_k"].item() is None
@@ -208,12 +189,12 @@ def test_units_are_those_of_physics(good_flight, deliver, read):
 
 
 def test_csv_and_history_say_the_same_local_time_is_converted_and_a_leap_day_is_a_day(good_flight, deliver, read, now):
-    rows = read(deliver({CSV: good_flight, HISTORY: parquet(good_flight)})).rows
+    rows = read(deliver({CSV: good_flight, HISTORY: by.parquet(good_flight)})).rows
     merged = merge_deliveries([rows], {})
     assert merged.rows.height == N
     assert merged.duplicates["n_duplicate"].sum() == N
     assert merged.quarantine.is_empty()
-    shifted = read(deliver({CSV: retimed(lambda t: t[:-1] + "+02:00")(good_flight)})).rows["time_utc"]
+    shifted = read(deliver({CSV: by.retimed(lambda t: t[:-1] + "+02:00")(good_flight)})).rows["time_utc"]
     assert (read(deliver({CSV: good_flight})).rows["time_utc"] - shifted == timedelta(hours=2)).all()
     content = good_flight.replace(b"20240525", b"20240229").replace(b"2024-05-25", b"2024-02-29")
     content = content.replace(b"2024-05-26", b"2024-03-01")
@@ -234,7 +215,7 @@ def test_a_tail_of_another_operator_and_a_file_that_vanished_are_noted(good_flig
 
 def test_values_at_fault_are_listed_up_to_a_limit_and_counted_beyond(good_flight, deliver, read):
     many = good_flight + b"".join(good_flight.splitlines(keepends=True)[1:] * 5)
-    faults = read(deliver({CSV: column("mach", lambda v: 9.9)(many)})).quarantine
+    faults = read(deliver({CSV: by.column("mach", lambda v: 9.9)(many)})).quarantine
     assert faults.height == 101
     assert faults["row"].null_count() == 1
     assert "152 more" in faults.filter(pl.col("row").is_null())["detail"].item()
@@ -250,9 +231,9 @@ def test_every_reason_is_met_by_a_test_and_stands_on_the_page_on_bad_input():
 
 
 def test_an_empty_flight_id_has_one_message_whatever_else_the_file_holds(good_flight, deliver, read):
-    empty = field(7, "flight_id", b"")(good_flight)
+    empty = by.field(7, "flight_id", b"")(good_flight)
     details = [
         read(deliver({CSV: content})).quarantine.filter(reason="bad_flight_id")["detail"].to_list()
-        for content in (empty, line_as(3, b"x")(empty), field(7, "flight_id", b'""')(good_flight))
+        for content in (empty, by.line_as(3, b"x")(empty), by.field(7, "flight_id", b'""')(good_flight))
     ]
     assert details == [[REASONS["bad_flight_id"].sentence]] * 3

@@ -79,7 +79,7 @@ def test_a_damaged_arinc_717_file_tells_nothing_that_was_not_recorded(packing):
     assert n_whole / (FILES // len(PACKINGS)) > 0.5  # most of most files comes through
 
 
-def test_a_flipped_sync_word_costs_the_subframes_on_both_its_sides():
+def test_a_flipped_sync_word_costs_both_its_sides_a_lost_word_its_subframe_and_standing_still_no_row():
     words = recording(0)
     words[10, SYNCS[2]] ^= 4
     arrangement = arranged(pack(words, PACKINGS[0]))
@@ -87,6 +87,15 @@ def test_a_flipped_sync_word_costs_the_subframes_on_both_its_sides():
     assert arrangement.damage.damaged == 2
     (series,) = decode(arrangement, [DEMO_717.parameters["PACK_TEMP"]])
     assert np.flatnonzero(~series.valid).tolist() == [41, 42]
+    data = pack(recording(2), PACKINGS[2])
+    position = 64 * 12 // 8 * 30 + 21
+    arrangement = arranged(data[:position] + data[position + 3 :])
+    assert np.argwhere(~arrangement.whole).tolist() == [[2, 7]]
+    words = recording(3)
+    words[20:, COUNTER] += 1000
+    arrangement = arranged(pack(words, PACKINGS[0]))
+    assert len(arrangement.t_s) == 40
+    assert arrangement.t_s[20] - arrangement.t_s[19] == 4004.0
 
 
 def test_frames_that_are_missing_are_null_at_their_time():
@@ -99,21 +108,6 @@ def test_frames_that_are_missing_are_null_at_their_time():
     (series,) = decode(arrangement, [DEMO_717.parameters["PACK_TEMP"]])
     invalid = np.flatnonzero(~series.valid)
     assert (invalid.min(), invalid.max()) == (44, 68)
-
-
-def test_a_word_lost_within_a_subframe_costs_that_subframe():
-    data = pack(recording(2), PACKINGS[2])
-    position = 64 * 12 // 8 * 30 + 21
-    arrangement = arranged(data[:position] + data[position + 3 :])
-    assert np.argwhere(~arrangement.whole).tolist() == [[2, 7]]
-
-
-def test_a_recorder_that_stood_still_leaves_a_gap_and_no_rows():
-    words = recording(3)
-    words[20:, COUNTER] += 1000
-    arrangement = arranged(pack(words, PACKINGS[0]))
-    assert len(arrangement.t_s) == 40
-    assert arrangement.t_s[20] - arrangement.t_s[19] == 4004.0
 
 
 def test_a_superframe_with_a_frame_missing_has_no_value():
@@ -154,7 +148,7 @@ def arranged_767(data: bytes):
     return arrange_767(raw, find_frames(raw), DEMO_767.frames)
 
 
-def test_a_lost_arinc_767_frame_is_null_at_its_time():
+def test_a_lost_arinc_767_frame_is_null_at_its_time_and_times_that_jitter_lose_nothing():
     data = frames_767(DEMO_767, raw_767(0))
     frames = find_frames(np.frombuffer(data, np.uint8))
     third = np.flatnonzero(frames.number == 3)[20]
@@ -165,9 +159,6 @@ def test_a_lost_arinc_767_frame_is_null_at_its_time():
     # the frame before it may be the beginning of the one and the end of the other
     assert np.flatnonzero(~series.valid).tolist() == [19, 20]
     np.testing.assert_allclose(np.diff(series.t_s), 1.0)
-
-
-def test_a_recorder_whose_times_jitter_loses_nothing():
     rng = np.random.default_rng(9)
     data = bytearray(frames_767(DEMO_767, raw_767(9)))
     frames = find_frames(np.frombuffer(data, np.uint8))

@@ -152,10 +152,14 @@ def garble(text: str, rng: np.random.Generator) -> str:
     return "".join(chars)
 
 
-def test_what_only_a_person_can_convert_is_listed_with_the_reason():
+def test_conversions_are_what_they_say_and_what_only_a_person_can_convert_is_listed():
     assert "Teledyne Synchro" in read_xml(XML.encode()).parameters["RUDDER"].unreadable
     assert "SOMETHING NEW" in VEC.parameters["ODD"].unreadable
     assert {"RUDDER", "ODD"}.isdisjoint({*read(RECORDING, VEC), *read(RECORDING, read_xml(XML.encode()))})
+    x = np.array([-1.0, 0.0, 0.5, 2.0, 3.0])
+    np.testing.assert_allclose(Polynomial((1.0, 0.0, 2.0))(x), 1.0 + 2.0 * x**2)
+    np.testing.assert_allclose(Segments((0.0, 2.0), (1.0, 3.0), (0.0, -4.0))(x), [np.nan, 0.0, 0.5, 2.0, 5.0])
+    np.testing.assert_allclose(LookupTable((0.0, 1.0, 2.0), (0.0, 10.0, 0.0))(x), [np.nan, 0.0, 5.0, 0.0, np.nan])
 
 
 def test_a_vec_of_arinc_767_reads_the_same_values():
@@ -178,13 +182,6 @@ def test_a_vec_of_arinc_767_reads_the_same_values():
     assert {f.size for f in layout.frames.values()} == {DEMO_767.frames[n].size for n in (3, 4)}
     for p in own:
         np.testing.assert_allclose(theirs[p.name[:9]].value, ours[p.name].value)
-
-
-def test_conversions_are_what_they_say():
-    x = np.array([-1.0, 0.0, 0.5, 2.0, 3.0])
-    np.testing.assert_allclose(Polynomial((1.0, 0.0, 2.0))(x), 1.0 + 2.0 * x**2)
-    np.testing.assert_allclose(Segments((0.0, 2.0), (1.0, 3.0), (0.0, -4.0))(x), [np.nan, 0.0, 0.5, 2.0, 5.0])
-    np.testing.assert_allclose(LookupTable((0.0, 1.0, 2.0), (0.0, 10.0, 0.0))(x), [np.nan, 0.0, 5.0, 0.0, np.nan])
 
 
 READERS = {TOML: read_toml, XML: lambda text: read_xml(text.encode())}
