@@ -79,9 +79,9 @@ def test_a_run_asks_about_its_own_aircraft_its_flights_and_the_fleet(ledger):
     assert set(own.flight_inputs()["tail"]) == {A[1]}
     assert own.files(["acms"])["path"].to_list() == ["a/1.csv"]
     cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": list("abc"), "version": list("123")})
-    ledger.mark("raw_flights", cells)
-    assert ledger.of([("AAA", "T1")], ["b", "x"]).cells("raw_flights").rows() == [("AAA", "T1", "b", "2")]
-    assert ledger.of([("AAA", "T1")], map(str, range(20_000))).cells("raw_flights").height == 3
+    ledger.mark("legs_samples", cells)
+    assert ledger.of([("AAA", "T1")], ["b", "x"]).cells("legs_samples").rows() == [("AAA", "T1", "b", "2")]
+    assert ledger.of([("AAA", "T1")], map(str, range(20_000))).cells("legs_samples").height == 3
 
 
 def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
