@@ -13,9 +13,8 @@ import numpy as np
 import polars as pl
 
 from hdt_core.alerts import phrases
-from hdt_core.alerts.case_closure import apply_inspections, close_after_work
 from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, case_id, open_flights, runs
-from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis
+from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis, apply_inspections, close_after_work
 from hdt_core.alerts.disturbances import Disturbances, door_cases, find_disturbances
 from hdt_core.alerts.evidence import HIGH_SEVERITY_SHARE, declared_loss
 from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases, odds_above

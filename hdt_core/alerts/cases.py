@@ -11,7 +11,7 @@ import polars as pl
 
 from hdt_core.components.pack import CC, HX
 from hdt_core.flight.legs import DOOR_STILL
-from hdt_core.records.keys import PACK
+from hdt_core.records.keys import LEG, PACK
 from hdt_core.records.unit_index import first_flights
 from hdt_core.robust import Array
 
@@ -54,11 +54,9 @@ class Grid:
             pl.int_range(pl.len()).over(PACK).cast(pl.Int64).alias("flight"),
         )
         flights = int(np.asarray(place["flight"].max() or 0)) + 1 if rows.height else 0
-        where = rows.select("operator", "tail", "flight_id", "pack").with_columns(place)
+        where = rows.select(LEG).with_columns(place)
         other = where.with_columns(pack=3 - pl.col("pack"))
-        pairs = where.join(
-            other, on=["operator", "tail", "flight_id", "pack"], how="inner", suffix="_other", validate="m:1"
-        )
+        pairs = where.join(other, on=LEG, how="inner", suffix="_other", validate="m:1")
         beside = tuple(pairs[c].to_numpy() for c in ("unit", "flight", "unit_other", "flight_other"))
         return cls(units, rows, place["unit"].to_numpy(), place["flight"].to_numpy(), (units.height, flights), beside)
 

@@ -1,18 +1,28 @@
-"""Diagnoses of alerts, each declared once: its component, texts, action, and the work that ends it.
+"""Diagnoses of alerts, each declared once: its component, texts, action, and the work that closes its cases.
 
 To add one, declare it here and write a rule that finds its cases (`alerts.raise_alerts`); report, `hdt explain`,
 catalog and the check of alerts follow from the declaration.
+
+An engineer who closes an alert writes an entry of the same form (`raw_maintenance`) as work has. Where the loss keeps
+growing after an inspection without a finding, the sensors behind the estimate are suspect and a sensor case is raised.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from datetime import datetime
 
 import numpy as np
+import polars as pl
 
 from hdt_core.alerts import evidence
-from hdt_core.alerts.cases import REPAIR, Case, Grid
+from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, case_id, fact_after, runs
 from hdt_core.alerts.evidence import Evidence, Facts
+from hdt_core.alerts.wear import RISE_MARGIN
 from hdt_core.components.pack import CC, HX
+from hdt_core.health.detection import persistent
+from hdt_core.records.keys import PACK
+from hdt_core.records.unit_index import date_entries, select_entries
+from hdt_core.robust import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,3 +151,131 @@ DIAGNOSES = {
         ),
     )
 }
+
+
+NO_FAULT, INSPECTIONS = "NO_FAULT_FOUND", ("INSPECTED",)
+RENEWED, FOUND_CLEAN = "renewed", "found_clean"
+LOSS = {"HX_FOULING": "hx_fouling", "HX_SUDDEN_CLOG": "hx_fouling", "CC_DEGRADED": "cc_efficiency_loss"}
+"""Feature of the loss that a case of wear rests on."""
+LIMIT_NAMES = {"HX_FOULING": "fouling", "CC_DEGRADED": "compressor"}
+"""Limit of `Limits` that the growth since the inspection must exceed before wear is called again."""
+
+
+def close_after_work(
+    grid: Grid, maintenance: pl.DataFrame, cases: list[Case], diagnoses: Iterable[Diagnosis] = tuple(DIAGNOSES.values())
+) -> list[Case]:
+    """Close each case at work on its component, whatever later flights show.
+
+    The case ends on the first flight that counts as flown after the work (`records.unit_index`), however late the entry
+    arrived; where no flight has followed yet, at the time from which the entry counts.
+    """
+    sound_entries = _sound_entries(maintenance)
+    for diagnosis in diagnoses:
+        own = [case for case in cases if case.diagnosis == diagnosis.code]
+        if own:
+            _close(grid, own, maintenance, diagnosis.component, diagnosis.ended_by, RENEWED)
+            if diagnosis.ended_by_sound:
+                _close(grid, own, sound_entries, diagnosis.component, INSPECTIONS, FOUND_CLEAN)
+    if "closes_alert_id" in sound_entries.columns:
+        entries_by_id = sound_entries.drop_nulls("closes_alert_id").partition_by("closes_alert_id", as_dict=True)
+        for case in cases if entries_by_id else []:
+            if (entries := entries_by_id.get((case_id(grid, case),))) is not None:
+                _close(grid, [case], entries, case.component, INSPECTIONS, FOUND_CLEAN)
+    return cases
+
+
+def _sound_entries(maintenance: pl.DataFrame) -> pl.DataFrame:
+    """Return the entries without a finding."""
+    return maintenance.filter(finding=NO_FAULT) if "finding" in maintenance.columns else maintenance.clear()
+
+
+def _close(
+    grid: Grid, cases: list[Case], entries: pl.DataFrame, component: str, actions: tuple[str, ...], reason: str
+) -> None:
+    """Close cases on the first flight after such an entry, or at its moment where none has flown since."""
+    work = grid.worked_on(entries, (component,), actions)
+    moments = _moments_after_last_flight(grid, entries, component, actions)
+    for case in cases:
+        later = case.raised_flight + 1 + np.flatnonzero(work[case.unit, case.raised_flight + 1 :])
+        # of two entries that count from one flight, a replacement is the reason
+        last_flight = np.inf if case.closed_flight is None else case.closed_flight - (reason != RENEWED)
+        if later.size and later[0] <= last_flight:
+            case.closed_flight, case.closed_reason = int(later[0]), reason
+        moment = moments.get(case.unit)
+        if moment is not None and (case.ended_at is None or moment < case.ended_at):
+            case.ended_at, case.ended_reason = moment, reason
+
+
+def _moments_after_last_flight(
+    grid: Grid, entries: pl.DataFrame, component: str, actions: tuple[str, ...]
+) -> dict[int, datetime]:
+    """Return, by unit with such work since its last flight, the time from which the first entry counts."""
+    last = grid.rows.group_by(PACK).agg(last_at=pl.col("departed_at").max())
+    last = last.join(grid.units.with_row_index("unit"), on=PACK, validate="1:1")
+    later = select_entries(entries, (component,), actions).join(last, on=PACK, validate="m:1")
+    later = later.filter(pl.col("counts_from") > pl.col("last_at"))
+    return dict(later.group_by("unit").agg(pl.col("counts_from").min()).rows())
+
+
+def apply_inspections(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], limits: Limits) -> list[Case]:
+    """Drop cases of a loss that an inspection has cleared, and add sensor cases where that loss grows on.
+
+    After an inspection without a finding, growth of the loss by `wear.RISE_MARGIN` raises a sensor case; wear is called
+    again only for a growth that would raise a case on a new part.
+    """
+    cleared_cases = [case for case in cases if case.closed_reason == FOUND_CLEAN and case.diagnosis in LOSS]
+    for case in cleared_cases:
+        start, end, level = _span(grid, maintenance, case)
+        loss = grid.track(LOSS[case.diagnosis], case.unit)
+        cases = [c for c in cases if not _same_loss(c, case, (start, end), loss - level, limits)]
+    contradictions = [c for case in cleared_cases for c in _contradictions(grid, maintenance, case, limits)]
+    return cases + close_after_work(grid, maintenance, contradictions)
+
+
+def _span(grid: Grid, maintenance: pl.DataFrame, case: Case) -> tuple[int, int, float]:
+    """Return the first flight after the inspection, that of the next unit, and the loss at the inspection."""
+    loss = grid.track(LOSS[case.diagnosis], case.unit)
+    start = min(case.closed_flight or 0, loss.size)
+    diagnosis = DIAGNOSES[case.diagnosis]
+    new_unit = grid.worked_on(maintenance, (diagnosis.component,), diagnosis.ended_by)[case.unit, start : loss.size]
+    end = start + int(np.flatnonzero(new_unit)[0]) if new_unit.any() else loss.size
+    before = loss[:start][np.isfinite(loss[:start])]
+    return start, end, float(before[-1]) if before.size else np.nan
+
+
+def _same_loss(other: Case, case: Case, span: tuple[int, int], growth: Array, limits: Limits) -> bool:
+    """Check whether `other` is raised on the inspected unit for no more loss than the inspection cleared."""
+    limit = LIMIT_NAMES.get(other.diagnosis)
+    inside = other.unit == case.unit and span[0] <= other.raised_flight < span[1]
+    if limit is None or not inside or other.component != case.component:
+        return False
+    return not growth[other.raised_flight] > getattr(limits, limit)
+
+
+def _contradictions(grid: Grid, maintenance: pl.DataFrame, case: Case, limits: Limits) -> Iterator[Case]:
+    """Yield a sensor case for each period in which the loss of a part without a finding has grown on."""
+    start, end, level = _span(grid, maintenance, case)
+    loss = grid.track(LOSS[case.diagnosis], case.unit)
+    growth = (loss[start:end] - level)[None]
+    has_grown = persistent(growth > RISE_MARGIN, *limits.wear_persistence, keep=growth > 0.5 * RISE_MARGIN)
+    facts = {
+        "kind": "contradicted", "since": start, "of": case.component, "level": level,
+        "looked_on": _inspection_day(grid, maintenance, case), "follows": case_id(grid, case),
+    }  # fmt: skip
+    for _, first, stop in runs(has_grown, np.zeros_like(has_grown)):
+        last = end if end < loss.size else None
+        closed_flight = last if stop is None else start + stop
+        reason = RENEWED if stop is None and last is not None else "recovered"
+        yield Case(
+            case.unit, "SENSOR", "SENSOR_FAULT", start + first, closed_flight, facts, fact_after("loss", loss),
+            closed_reason=reason,
+        )  # fmt: skip
+
+
+def _inspection_day(grid: Grid, maintenance: pl.DataFrame, case: Case) -> str:
+    """Return the day of the inspection that ended the case."""
+    operator, tail, pack = grid.units.row(case.unit)
+    until: pl.Expr = pl.lit(grid.value("departed_at", case.unit, int(case.closed_flight or 0)))
+    own = _sound_entries(maintenance).filter(operator=operator, tail=tail, pack=pack, component=case.component)
+    days = date_entries(own).filter(pl.col("counts_from") <= until, pl.col("action").is_in(INSPECTIONS))["done_on"]
+    return str(days.max())

@@ -30,7 +30,7 @@ MARGIN_FACTS = ("hx_margin_k", "hx_passage_300", "hx_fouling", "hx_fouling_sd", 
 
 
 def hx_cases(
-    grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Array, visit_planned: Array | None = None
+    grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Array, visit_planned: Array
 ) -> list[Case]:
     """Find fouling past its limit and sudden clogs; `doubtful` (units, flights): a door or the outlet is in doubt.
 
@@ -42,7 +42,7 @@ def hx_cases(
     is_settled = (since(restart) > SETTLED_FLIGHTS) & ~(step < -limits.clog)
     reliable = is_settled & (~lingering(doubtful, FAULT_ECHO) | (loss > limits.fouling + FAULT_ALLOWANCE))
     gain = loss_rise(np.where(lingering(doubtful, FAULT_ECHO), np.nan, grid.values("hx_fouling_flight")), restart)
-    limit = limits.fouling + (0.0 if visit_planned is None else np.where(visit_planned, BEYOND_DOUBT, 0.0))
+    limit = limits.fouling + np.where(visit_planned, BEYOND_DOUBT, 0.0)
     above_limit = (odds_above(loss, sd, limit) > limits.fouling_odds) | (gain > limit + RISE_MARGIN)
     sure = grid.as_observed(above_limit | _fails_soon(grid, loss, sd, limits), "hx_fouling", restart)
     keep = np.fmax(loss, gain) > limits.fouling_keep * limits.fouling_soon

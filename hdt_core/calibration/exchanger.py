@@ -77,8 +77,9 @@ def ln_conductance_ratio(signals: Mapping[str, Array], design: Array, bias: Arra
     s = without_bias(signals, bias)
     ram = clean_ram_flow_kg_s(s, design)
     with np.errstate(divide="ignore", invalid="ignore"):  # a shut door or a pack at rest has no exchanger to fit
+        ln_clean = ln_clean_conductance(s, ram, design)
         ua_w_k = measured_conductance_w_k(s["pack_flow_kg_s"], ram, s["hx_in_k"], s["hx_out_k"], s["tat_k"])
-        return np.log(ua_w_k) - ln_clean_conductance(s, ram, design)
+        return np.log(ua_w_k) - ln_clean
 
 
 def design_gradient(signals: Mapping[str, Array], design: Array, bias: Array, ratio: Array) -> Array:

@@ -9,7 +9,7 @@ import polars as pl
 
 from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
 from hdt_core.margin.first_passage import passages
-from hdt_core.margin.margin import DELIVERY_COLUMNS, MARGIN_COLUMNS, compressor_margin, exchanger_margin
+from hdt_core.margin.margin import MARGIN_COLUMNS, compressor_margin, exchanger_margin
 from hdt_core.physics.heat_exchanger import mean_specific_heat_j_kg_k, warmed_k
 from hdt_core.records.keys import AIRCRAFT, IN_ORDER, LEG, LEG_AT, PACK, join_other_pack
 from hdt_core.records.unit_index import number_units
@@ -140,16 +140,11 @@ def _join_new(wide: pl.DataFrame, more: pl.DataFrame | None) -> pl.DataFrame:
 
 def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
     """Return the margin columns of each flight; rows of `wide` are in order of departure."""
-    estimates = twin_flights.select(*LEG, pl.selectors.by_name(*FLIGHT_ESTIMATES, require_all=False))
-    inputs = wide.select(*LEG, pl.selectors.by_name(*LOSSES, require_all=False)).join(
-        estimates, on=LEG, how="left", maintain_order="left", validate="m:1"
+    inputs = wide.select(*LEG, *LOSSES).join(
+        twin_flights.select(*LEG, *FLIGHT_ESTIMATES), on=LEG, how="left", maintain_order="left", validate="m:1"
     )
     margins = exchanger_margin(inputs, demand).select(*LEG, *MARGIN_COLUMNS)
-    if "cc_flow_asked_kg_s" not in demand.columns:
-        return margins
-    return margins.join(
-        compressor_margin(inputs, demand).select(*LEG, *DELIVERY_COLUMNS), on=LEG, how="left", validate="m:1"
-    )
+    return margins.join(compressor_margin(inputs, demand), on=LEG, how="left", validate="m:1")
 
 
 def since_maintenance(

@@ -27,6 +27,11 @@ CRUISE_MEDIANS = {
     "pack_flow_kg_s": "pack_flow_cruise_kg_s",
     "cc_speed_rad_s": "cc_speed_cruise_rad_s",
 }
+PAIRED_SIGNALS = (
+    "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k", "pack_flow_kg_s", "cc_flow_kg_s", "cc_out_pa", "cc_out_k",
+    "ram_door_open",
+)  # fmt: skip
+"""Signals compared with the other pack's of the same time."""
 MIN_SAMPLES = 3
 STILL_SAMPLES = 8
 """Readings below which one value may be chance and quantisation."""
@@ -51,7 +56,8 @@ def cross_checks(samples: pl.DataFrame, schedules: ControlSchedules | None = Non
         (outlet above target where the door is widest, less the same elsewhere) with its two counts; and the flight's
         conditions: cruise medians, door effort, hours.
     """
-    whole = _pair_packs(_with_schedules(samples, schedules or learn_schedules(samples)))
+    scheduled = _with_schedules(samples, schedules or learn_schedules(samples))
+    whole = join_other_pack(scheduled, PAIRED_SIGNALS, ("time_utc", "source"))
     level = _with_pitot(whole.filter(pl.col("phase") == "cruise"))
     out = whole.group_by(LEG).agg(*_counts(), *_door(), departure(samples).alias("departed_at"))
     parts = (
@@ -107,15 +113,6 @@ def _with_pitot(level: pl.DataFrame) -> pl.DataFrame:
     """Add the total pressure by pressure altitude and Mach number."""
     pitot_pa = standard_pressure_pa(level["altitude_m"].to_numpy()) * total_to_static_pressure(level["mach"].to_numpy())
     return level.with_columns(pl.Series("pitot_pa", pitot_pa).fill_nan(None))
-
-
-def _pair_packs(samples: pl.DataFrame) -> pl.DataFrame:
-    """Join each sample with the other pack's of the same time."""
-    signals = (
-        "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k", "pack_flow_kg_s", "cc_flow_kg_s", "cc_out_pa", "cc_out_k",
-        "ram_door_open",
-    )  # fmt: skip
-    return join_other_pack(samples, signals, ("time_utc", "source"))
 
 
 _BOTH_RUN = (pl.col("pack_flow_kg_s") > RUNNING_KG_S) & (pl.col("other_pack_flow_kg_s") > RUNNING_KG_S)

@@ -13,11 +13,7 @@ from hdt_core.calibration.compressor import CompressorFit, compressor_samples
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.flight.control_schedules import ControlSchedules
 from hdt_core.physics.air import HIGH_CRUISE_M, hot_day_tat_k, reference_air
-from hdt_core.physics.compressor import (
-    area_diameter_tan_beta_m3,
-    effective_diameter_m,
-    inlet_flow_kg_s,
-)
+from hdt_core.physics.compressor import area_diameter_tan_beta_m3, effective_diameter_m, inlet_flow_kg_s
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, PACK
 from hdt_core.tables.features import COMPRESSOR_DEMAND, FeaturesMargin

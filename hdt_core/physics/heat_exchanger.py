@@ -236,10 +236,7 @@ INPUTS = (
     Signal("hot_in_k", "K", sigma=0.4, bias_sd=1.0),
     TAT.rename("cold_in_k"),
 )
-OUTPUTS = (
-    Signal("hot_out_k", "K", sigma=0.4, bias_sd=1.0),
-    Signal("ram_out_k", "K", sigma=0.4, bias_sd=1.0),
-)
+OUTPUTS = (Signal("hot_out_k", "K", sigma=0.4, bias_sd=1.0), Signal("ram_out_k", "K", sigma=0.4, bias_sd=1.0))
 """Sensor classes of transport aircraft."""
 
 PARAMS = (

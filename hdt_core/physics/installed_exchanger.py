@@ -244,20 +244,14 @@ def installed_outlets_k(**values: Array) -> tuple[Array, Array]:
     return outlets_k(values["pack_flow_kg_s"], ram_kg_s, values["hx_in_k"], values["tat_k"], ua_w_k)
 
 
-INPUTS = (
+_INPUTS = (
     *(RAM_DUCT.signal(name) for name in ("altitude_m", "mach", "tat_k", "total_pressure_pa")),
     HEAT_EXCHANGER.signal("hot_in_k").rename("hx_in_k"),
     RAM_DUCT.signal("ram_door_open"),
     HEAT_EXCHANGER.signal("hot_flow_kg_s").rename("pack_flow_kg_s"),
 )
-OUTPUTS = (HEAT_EXCHANGER.signal("hot_out_k").rename("hx_out_k"), HEAT_EXCHANGER.signal("ram_out_k"))
-PARAMS = (*DESIGN, _CORE["hx_fouling"])
-
+_OUTPUTS = (HEAT_EXCHANGER.signal("hot_out_k").rename("hx_out_k"), HEAT_EXCHANGER.signal("ram_out_k"))
 INSTALLED = PhysicsModel(
-    name="installed_exchanger",
-    inputs=INPUTS,
-    outputs=OUTPUTS,
-    params=PARAMS,
-    equations=installed_outlets_k,
+    "installed_exchanger", _INPUTS, _OUTPUTS, (*DESIGN, _CORE["hx_fouling"]), equations=installed_outlets_k
 )
 """Model that the night calibrates (`design`) and tracks (`health`), and that a notebook passes to an `Estimator`."""

@@ -10,9 +10,8 @@ import pytest
 from one_pack import FLIGHTS, START, alerts, departure, features, work
 
 from hdt_core.alerts.alerts import VALUES, trials
-from hdt_core.alerts.case_closure import close_after_work
 from hdt_core.alerts.cases import Case, Grid
-from hdt_core.alerts.diagnoses import DIAGNOSES
+from hdt_core.alerts.diagnoses import DIAGNOSES, close_after_work
 from hdt_core.alerts.evidence import ROLES
 from hdt_core.tables.features import FeaturesAlerts
 

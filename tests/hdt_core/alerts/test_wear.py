@@ -18,7 +18,7 @@ def fouling(loss: object, log: pl.DataFrame = NOTHING, sick: object = False, pla
     """Cases of an exchanger whose loss is known to a hundredth and comes without a step."""
     columns = {"hx_fouling": loss, "hx_fouling_sd": 0.01, "hx_fouling_step_3": 0.0, "hx_passage_300": 0.1} | more
     flags = np.broadcast_to(np.asarray(sick), N)[None]
-    plan = None if planned is None else np.broadcast_to(np.asarray(planned), N)[None]
+    plan = np.zeros((1, N), bool) if planned is None else np.broadcast_to(np.asarray(planned), N)[None]
     return hx_cases(grid(**columns), log, Limits(), flags, plan)
 
 
