@@ -25,7 +25,6 @@ def declared_problem(
 
     Parameters
     ----------
-    model : PhysicsModel
     free : sequence of str
         Names of n parameters, for instance those of one role.
     inputs : mapping of name to array (k,)

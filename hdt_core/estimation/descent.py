@@ -16,7 +16,7 @@ from hdt_core.estimation.compiled import (
     is_settled,
     next_damping,
 )
-from hdt_core.estimation.fit import SINGULAR
+from hdt_core.estimation.fit import scaled_eigen
 from hdt_core.estimation.problem import Array, Problem
 
 TINY = float(np.finfo(float).tiny)
@@ -182,10 +182,7 @@ def distance_to_optimum(point: Point, bounds: Array) -> float:
     gradient, normal = point.gradient[free], point.normal[np.ix_(free, free)]
     if not (np.isfinite(gradient).all() and np.isfinite(normal).all()):
         return float("inf")
-    size = np.sqrt(np.maximum(normal.diagonal(), 0.0))
-    size[size == 0.0] = 1.0
-    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
-    observable = values > values[-1] / SINGULAR
+    size, values, vectors, observable = scaled_eigen(normal)
     along = vectors[:, observable].T @ (gradient / size) / np.sqrt(values[observable])
     step = -(vectors[:, observable] @ (along / np.sqrt(values[observable]))) / size
     is_inside = (point.theta[free] + step >= lower[free]) & (point.theta[free] + step <= upper[free])

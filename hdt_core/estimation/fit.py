@@ -91,11 +91,8 @@ def invert_information(information: Array) -> tuple[Array, bool]:
 
     Parameters in an unobservable direction get an infinite variance.
     """
-    size = np.sqrt(np.maximum(information.diagonal(), 0.0))
-    size[size == 0.0] = 1.0
+    size, values, vectors, observable = scaled_eigen(information)
     scales = size[:, None] * size
-    values, vectors = np.linalg.eigh(information / scales)
-    observable = values > values[-1:] / SINGULAR
     if observable.all():
         return (vectors / values) @ vectors.T / scales, True
     cov = (vectors[:, observable] / values[observable]) @ vectors[:, observable].T / scales
@@ -104,6 +101,15 @@ def invert_information(information: Array) -> tuple[Array, bool]:
     cov[:, unobservable] = 0.0
     cov[unobservable, unobservable] = np.inf
     return cov, False
+
+
+def scaled_eigen(information: Array) -> tuple[Array, Array, Array, npt.NDArray[np.bool_]]:
+    """Scale an information matrix (n, n) to unit diagonal: the root of its diagonal, eigenvalues and vectors of the
+    scaled one, and which directions are observable."""
+    size = np.sqrt(np.maximum(information.diagonal(), 0.0))
+    size[size == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(information / (size[:, None] * size))
+    return size, values, vectors, values > values[-1:] / SINGULAR
 
 
 def covariance_of_free(bounds: Array, total: Array) -> tuple[Array, bool]:

@@ -56,12 +56,10 @@ class ParticleSwarm:
 
     Parameters
     ----------
-    n_particles, n_iterations : int
     inertia, cognitive, social : float
         Clerc and Kennedy's constants.
     polish : bool
         Finish with Levenberg and Marquardt.
-    seed : int
     """
 
     name: str = "pso"

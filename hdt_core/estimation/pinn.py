@@ -63,7 +63,6 @@ class PhysicsInformedNet:
     polish : bool
         Finish with least squares on the declared equations where no term is missing, which takes away the bias of the
         order of rho; the deviations stay those of the average.
-    seed : int
 
     References
     ----------

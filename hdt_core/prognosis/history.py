@@ -129,7 +129,9 @@ def _features(record: Array, critical: Array, place: tuple[Index, Index]) -> Arr
     rows["asked_trend"] = demand["asked_trend"]
     # losses are fractions, reserves are in ln: the same step weighs more the smaller the remaining ratio
     slope = {n: rows[f"slope_{n}"] / np.maximum(1.0 - rows["level"], 0.2) for n in ("30", "100", "segment")}
-    rows |= {f"left_linear_{name}": _remaining_linear(rows["reserve_95"], s) for name, s in slope.items()}
+    for name, s in slope.items():  # flights to a reserve of 0, extrapolated linearly
+        flights = np.clip(rows["reserve_95"] / np.maximum(s, 1e-6), 0.0, _FAR)
+        rows[f"left_linear_{name}"] = np.where(s > 1e-6, flights, _FAR)
     rate = wear_rate(slope["100"], rows["run"])
     rows |= _passages(ratio, np.stack([demand[name] for name in DEMAND_NAMES[: len(LEVELS)]], axis=1), *rate)
     return np.stack([rows[name] for name in FEATURES], axis=1)
@@ -235,8 +237,3 @@ def _mean_finite(values: Array, flights: int) -> Array:
     is_finite = np.isfinite(values)
     total, count = _span_sum(np.where(is_finite, values, 0.0), start), _span_sum(is_finite.astype(float), start)
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1.0), np.nan))
-
-
-def _remaining_linear(reserve: Array, slope: Array) -> Array:
-    """Extrapolate a reserve linearly to 0: flights, 0 to `_FAR`."""
-    return np.asarray(np.where(slope > 1e-6, np.clip(reserve / np.maximum(slope, 1e-6), 0.0, _FAR), _FAR))

@@ -63,7 +63,9 @@ def life_table(features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
     """
     flights = flight_rows(features).select(*PACK, "row", "flight_id", "departed_at")
     last = pl.when("failed").then("end_row").otherwise(pl.col("end_row") - 1)
-    ends = lives.with_columns(last_row=last, ended_by=_end_reason(), censored=~pl.col("failed"))
+    removal = pl.when("mute").then(pl.lit("unheard")).otherwise(pl.lit("replaced"))
+    ended_by = pl.when("failed").then(pl.lit("message")).when("removed").then(removal)
+    ends = lives.with_columns(last_row=last, ended_by=ended_by, censored=~pl.col("failed"))
     first, end = (
         flights.rename({"row": f"{at}_row", "flight_id": f"{name}_flight_id", "departed_at": f"{name}_departed_at"})
         for at, name in (("first", "first"), ("last", "end"))
@@ -72,12 +74,6 @@ def life_table(features: pl.DataFrame, lives: pl.DataFrame) -> pl.DataFrame:
         end, on=[*PACK, "last_row"], how="left", validate="m:1"
     )
     return table.with_columns(n_flights=pl.col("end_row") - pl.col("first_row"))
-
-
-def _end_reason() -> pl.Expr:
-    """Build the reason for a life's end: `message`, `replaced`, or `unheard` for a mute operator."""
-    removal = pl.when("mute").then(pl.lit("unheard")).otherwise(pl.lit("replaced"))
-    return pl.when("failed").then(pl.lit("message")).when("removed").then(removal)
 
 
 def flight_rows(features: pl.DataFrame, *columns: str) -> pl.DataFrame:

@@ -251,20 +251,16 @@ def conditions(rng: np.random.Generator, schedule: Schedule, flight: Array, afte
     mach = mach + 0.002 * np.sin(after_s / 310.0 + 2.0 * wave)
     taxies = after_s < 0.0
     altitude_m, mach = np.where(taxies, 0.0, altitude_m), np.where(taxies, TAXI_MACH, mach)
+    phase = np.select([climb < 0.08, climb < 1.0, descent <= 0.0, descent < 0.85], [0, 1, 2, 3], 4)
     along_k = 1.5 * np.sin(after_s / 2400.0 + wave) - 1.5 * np.sin(wave)
     static_k = standard_temperature_k(altitude_m) + schedule.warmer_k[flight] + along_k
     return Conditions(
         flight=flight,
         time_s=schedule.departed_s[flight] + after_s,
-        phase=np.where(taxies, "GR", _phase(climb, descent)),
+        phase=np.where(taxies, "GR", _PHASES[phase]),
         altitude_m=altitude_m,
         mach=mach,
         ram_mach=np.where(taxies, FAN_MACH, mach),
         tat_k=np.asarray(static_k * total_to_static_temperature(mach)),
         total_pressure_pa=np.asarray(standard_pressure_pa(altitude_m) * total_to_static_pressure(mach)),
     )
-
-
-def _phase(climb: Array, descent: Array) -> Array:
-    index = np.select([climb < 0.08, climb < 1.0, descent <= 0.0, descent < 0.85], [0, 1, 2, 3], 4)
-    return np.asarray(_PHASES[index])

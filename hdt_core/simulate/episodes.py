@@ -123,8 +123,7 @@ def draw_episodes(seed: int, settings: EpisodeSettings) -> Episodes:
     rng = np.random.default_rng(seed)
     flights = draw_demand(rng, settings.aircraft, LEAD + settings.flights)
     units = flights.day.shape[0]
-    is_worn = np.asarray(rng.random(units) < settings.worn_at_entry)
-    loss = _losses(rng, is_worn, settings)
+    is_worn, loss = _losses(rng, units, settings)
     unit_offset = settings.unit_sd * rng.standard_normal((units, 1))
     ln_ratio = unit_offset + np.log1p(-loss)
     excess_k = excess_at(flights.skip(LEAD), ln_ratio)
@@ -159,8 +158,7 @@ def draw_limited(seed: int, settings: EpisodeSettings, limit: float, estimate: f
     """
     rng = np.random.default_rng(seed)
     units = 2 * settings.aircraft
-    is_worn = np.asarray(rng.random(units) < settings.worn_at_entry)
-    loss = _losses(rng, is_worn, settings)
+    is_worn, loss = _losses(rng, units, settings)
     unit_limit = limit + 0.03 * rng.standard_normal((units, 1))
     over = loss + 0.012 * rng.standard_normal(loss.shape) > unit_limit
     age_known = ~is_worn & (rng.random(units) < 0.7)
@@ -174,9 +172,11 @@ def draw_limited(seed: int, settings: EpisodeSettings, limit: float, estimate: f
     )  # fmt: skip
 
 
-def _losses(rng: np.random.Generator, is_worn: Array, settings: EpisodeSettings) -> Array:
-    age = np.where(is_worn, rng.uniform(0.0, 0.7, is_worn.size), 0.0)
-    return np.minimum(_wash(rng, draw_wear(rng, age, settings.flights, settings.wear).loss, settings), 0.9)
+def _losses(rng: np.random.Generator, units: int, settings: EpisodeSettings) -> tuple[Array, Array]:
+    """Draw which units are worn at entry, (units,), and the loss of each, (units, flights)."""
+    is_worn = np.asarray(rng.random(units) < settings.worn_at_entry)
+    age = np.where(is_worn, rng.uniform(0.0, 0.7, units), 0.0)
+    return is_worn, np.minimum(_wash(rng, draw_wear(rng, age, settings.flights, settings.wear).loss, settings), 0.9)
 
 
 def _wash(rng: np.random.Generator, loss: Array, settings: EpisodeSettings) -> Array:

@@ -168,8 +168,6 @@ def unit_health(
         Of `component_samples`.
     legs, design : DataFrame
         Of `commission`.
-    maintenance : DataFrame
-    component : Component
     previous, seal
         As of `track_loss`.
 

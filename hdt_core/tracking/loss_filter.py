@@ -78,7 +78,6 @@ def track_loss(
         Whole packs, in order.
     maintenance : DataFrame
         `operator, tail, pack, component, action, done_on`; entries count from the day they name.
-    loss : Loss
     previous : TrackResult, optional
         Of an earlier call, of these losses and others.
     seal : str

@@ -145,7 +145,8 @@ def _filter_packs(
 ) -> None:
     """Filter and smooth some packs side by side, those with most flights left first; a pack without any drops out."""
     first, remaining = begin[packs] * SEGMENT_FLIGHTS, panel.flights[packs] - begin[packs] * SEGMENT_FLIGHTS
-    hypotheses = _first_hypotheses(packs, begin, checkpoints, settings)
+    parts = [checkpoints[int(p), int(begin[p])] if begin[p] else start(settings) for p in packs]
+    hypotheses = join([part._replace(pack=np.full(len(part.pack), i)) for i, part in enumerate(parts)])
     steps: list[tuple[Hypotheses, Branching]] = []
     for k in range(int(remaining[0]) if len(remaining) else 0):
         n_packs = int((remaining > k).sum())
@@ -164,12 +165,6 @@ def _filter_packs(
             for flight, (level, sd) in enumerate(smoothed, k + 1 - len(window)):
                 result.tracks[2:, panel.row[first[: len(level)] + flight, packs[: len(level)]]] = level, sd
             steps = window
-
-
-def _first_hypotheses(packs: Array, begin: Array, checkpoints: Checkpoints, settings: Settings) -> Hypotheses:
-    """Collect the hypotheses with which packs begin, numbered side by side."""
-    parts = [checkpoints[int(p), int(begin[p])] if begin[p] else start(settings) for p in packs]
-    return join([part._replace(pack=np.full(len(part.pack), i)) for i, part in enumerate(parts)])
 
 
 def wear_summary(hypotheses: Hypotheses, n: int, *, truncated: bool = True) -> tuple[Array, Array]:
