@@ -30,7 +30,7 @@ def digest(*parts: str) -> str:
 
 def expected_versions(ledger: Ledger, table: str) -> pl.DataFrame:
     """List the version each cell of `table` should have: operator, tail, flight_id (empty above flights), version."""
-    return _expected_versions(ledger, table, _parents(ledger, [table]))
+    return _expected_versions(ledger, table, _parents(ledger, [table])[0])
 
 
 def _expected_versions(ledger: Ledger, table: str, parents: Mapping[str, pl.DataFrame]) -> pl.DataFrame:
@@ -85,7 +85,7 @@ def restrict_ledger(ledger: Ledger, stage: Stage, aircraft: Iterable[Aircraft], 
 def stale_cells_of(ledger: Ledger, tables: Iterable[str]) -> pl.DataFrame:
     """List cells of some tables, of one grain, whose stored version is absent or not the expected one."""
     tables = list(tables)
-    parents, stored = _parents(ledger, tables), ledger.cells_of(tables)
+    parents, stored = _parents(ledger, tables, tables)
     return pl.concat(
         _expected_versions(ledger, t, parents).join(stored[t], on=[*CELL, "version"], how="anti") for t in tables
     )
@@ -112,13 +112,18 @@ def _join_lines(lines: pl.DataFrame) -> pl.DataFrame:
     return pl.concat([lines.filter(~several), many]).rename({"line": "made_of"})
 
 
-def _parents(ledger: Ledger, tables: Iterable[str]) -> dict[str, pl.DataFrame]:
-    """Read the versions of all parents of some tables of one grain, each in a column of its table's name."""
+def _parents(
+    ledger: Ledger, tables: Iterable[str], also: Iterable[str] = ()
+) -> tuple[dict[str, pl.DataFrame], dict[str, pl.DataFrame]]:
+    """Read the versions of all parents of some tables of one grain, each in a column of its table's name.
+
+    In the same transaction the stored cells of the tables `also`, of that grain.
+    """
     recipes = [(LINEAGE[table], _DEPTH[TABLES[table].grain]) for table in tables]
     depths = {parent: depth for recipe, depth in recipes if not recipe.baseline for parent in recipe.parents}
     finer = [parent for parent, depth in depths.items() if _DEPTH[TABLES[parent].grain] > depth]
-    stored = ledger.cells_of([parent for parent in depths if parent not in finer], finer)
-    return {parent: _versions_at(stored[parent], depth, parent) for parent, depth in depths.items()}
+    stored = ledger.cells_of([*(parent for parent in depths if parent not in finer), *also], finer)
+    return {parent: _versions_at(stored[parent], depth, parent) for parent, depth in depths.items()}, stored
 
 
 def _versions_at(stored: pl.DataFrame, depth: int, table: str) -> pl.DataFrame:

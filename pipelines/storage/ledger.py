@@ -54,6 +54,7 @@ create table if not exists settled (made_as text not null);
 NAMES = re.findall(r"if not exists (\w+)", _SCHEMA)
 FILE, HASH_FILE = "ledger.sqlite", "ledger.sealed"
 MAX_FLIGHTS = 10_000  # of one query; SQLite takes 32,766 values
+_NUMBERS = ("size", "mtime_ns")
 _COLUMNS = "path, operator, tail, kind, digest, size, mtime_ns"
 _SET_FILE = (
     "insert into files values (?, ?, ?, ?, ?, ?, ?) on conflict (path) do update set operator = excluded.operator,"
@@ -142,7 +143,8 @@ class Ledger:
     def _frames(self, queries: list[_Query]) -> list[pl.DataFrame]:
         """Run queries in one transaction; counts are text."""
         results = self._query(lambda con: [(c.description, c.fetchall()) for c in starmap(con.execute, queries)])
-        return [_as_frame([column[0] for column in columns], rows) for columns, rows in results]
+        types = [{c[0]: pl.Int64 if c[0] in _NUMBERS else pl.String for c in columns} for columns, _ in results]
+        return [pl.DataFrame(rows, schema=t, orient="row") for t, (_, rows) in zip(types, results, strict=True)]
 
     def file_records(self) -> dict[str, FileRecord]:
         """Map every file on record, by path, to its record."""
@@ -288,8 +290,3 @@ class Ledger:
         """Delete the record of earlier versions of a table, which are lost."""
         with self._write() as con:
             con.execute("delete from night_versions where asset = ?", [asset])
-
-
-def _as_frame(names: list[str], rows: list[tuple[Any, ...]]) -> pl.DataFrame:
-    types = {n: pl.Int64 if n in {"size", "mtime_ns"} else pl.String for n in names}
-    return pl.DataFrame(rows, schema=types, orient="row")

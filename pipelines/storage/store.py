@@ -196,9 +196,10 @@ def merge_flights(entry: StoredTable, folder: str, flights: Iterable[str], frame
     fresh = _by_shard(frame.with_columns(entry.shard_of))
 
     def change(shards: StoredShards) -> Iterator[tuple[str, pl.DataFrame | None]]:
-        for shard, names in _targets(entry, folder, ids, fresh, shards).items():
-            months = [s for name in names if (s := f"{folder}/{name}") in shards and s != shard]
-            rows = [entry.conform(shards[s]) for s in (shard, *months) if s in shards]
+        stored = {s for s in shards if s.startswith(f"{folder}/")}
+        for shard, names in _targets(entry, folder, ids, fresh, shards, stored).items():
+            months = [s for name in names if (s := f"{folder}/{name}") in stored and s != shard]
+            rows = [entry.conform(shards[s]) for s in (shard, *months) if s in stored]
             new = [entry.conform(fresh[name]) for name in names if name in fresh]
             flight_ids = [flight for name in names for flight in ids.get(name, ())]
             others = [frame.filter(~pl.col("flight_id").is_in(flight_ids)) for frame in rows]
@@ -210,15 +211,17 @@ def merge_flights(entry: StoredTable, folder: str, flights: Iterable[str], frame
 
 
 def _targets(
-    entry: StoredTable, folder: str, names_to_write: Collection[str], fresh: Collection[str], shards: StoredShards
-) -> dict[str, list[str]]:
+    entry: StoredTable, folder: str, names_to_write: Collection[str], fresh: Collection[str], shards: StoredShards,
+    stored: Collection[str],
+) -> dict[str, list[str]]:  # fmt: skip
     """Map shards to write to the months (or flights, where a shard is one) whose rows they will hold."""
-    names = {s.removeprefix(f"{folder}/") for s in shards if s.startswith(f"{folder}/")}
+    names = {s.removeprefix(f"{folder}/") for s in stored}
     months = sorted(name for name in names.union(fresh) if _MONTH.fullmatch(name))
     old, targets = set(months[:-OPEN]), dict[str, list[str]]()
     for name in sorted(old.union(names_to_write)):
         year = _year(name)
-        in_year = name in old or (name not in names and _holds(entry, shards.get(f"{folder}/{year}"), name))
+        is_folded = name not in names and year in names and _holds(entry, shards[f"{folder}/{year}"], name)
+        in_year = name in old or is_folded
         targets.setdefault(f"{folder}/{year if in_year else name}", []).append(name)
     return targets
 
