@@ -41,11 +41,10 @@ def group_of(stage: str) -> dict[str, Any]:
 
 
 class StageResult(NamedTuple):
-    """Frames, with metadata for the materialization of the table at index `on`."""
+    """Frames, with metadata for the materialization of the first table."""
 
     frames: tuple[pl.DataFrame, ...]
     metadata: dict[str, Any]
-    on: int = 0
 
 
 Frames = pl.DataFrame | tuple[pl.DataFrame, ...] | StageResult
@@ -91,10 +90,11 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         duration = {"seconds": round(time.monotonic() - start, 3)}
         result, store, ledger = _as_stage_result(outcome), home.store, home.ledger
         set_aside = tables_set_aside(store, declaration.grain)
-        for place, (table, frame) in enumerate(zip(declaration.tables, result.frames, strict=True)):
-            metadata = result.metadata if place == result.on else {}
+        metadata = result.metadata
+        for table, frame in zip(declaration.tables, result.frames, strict=True):
             quarantine = partial(store_broken_rows, store, ledger, scope, table)
             yield from _check_and_store(table, frame, duration, metadata, quarantine, has_old_rows=table in set_aside)
+            metadata = {}
 
     return run
 

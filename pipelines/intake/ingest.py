@@ -81,8 +81,9 @@ class StoredRows:
         rows = self.store.scan(table, [self.aircraft], self.flights)
         return TABLES[table].conform(rows.filter(pl.col("flight_id").is_in(self.flights)).collect())
 
+    @cached_property
     def _stored_quarantine(self) -> pl.DataFrame:
-        """Read the quarantine of delivered rows; that of computed rows belongs to their own stage."""
+        """Quarantine of delivered rows; that of computed rows belongs to their own stage."""
         return self._read("raw_quarantine").filter(pl.col("reason") != BREAKS_DECLARATION)
 
     @cached_property
@@ -103,11 +104,11 @@ class StoredRows:
     def of_present_files(self) -> tuple[pl.DataFrame, pl.DataFrame]:
         """Return rows and quarantine rows of earlier versions of files in the landing zone."""
         here = pl.col("file").is_in(self.present)
-        return self._stored_rows.filter(here), self._stored_quarantine().filter(here)
+        return self._stored_rows.filter(here), self._stored_quarantine.filter(here)
 
     def quarantine(self) -> pl.DataFrame:
         """Return the quarantine rows of removed files."""
-        return self._stored_quarantine().filter(~pl.col("file").is_in(self.present))
+        return self._stored_quarantine.filter(~pl.col("file").is_in(self.present))
 
     def deliveries(self, merge_result: MergeResult, with_rows: pl.DataFrame) -> pl.DataFrame:
         """Return the account of removed files; rows that a later file has replaced count as duplicates."""

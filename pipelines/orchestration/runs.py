@@ -224,7 +224,9 @@ class RemoteExecutor:
         while unsent or running:
             while unsent and len(running) < AHEAD:
                 batch = unsent.popleft()
-                running[self._send(job, batch, label)] = batch
+                run = self.runner.create(job, batch, label)
+                submit(self.instance, run)
+                running[run.run_id] = batch
             for run in finished_runs(self.instance, running):
                 batch = running.pop(run.run_id)
                 if retry_id := successor(run):
@@ -241,12 +243,6 @@ class RemoteExecutor:
 
     def close(self) -> None:
         """Do nothing: the workers outlive the night."""
-
-    def _send(self, job: dg.JobDefinition, batch: PartitionBatch, label: str) -> str:
-        """Submit one run; return its id."""
-        run = self.runner.create(job, batch, label)
-        submit(self.instance, run)
-        return run.run_id
 
     def _failure_message(self, run: dg.DagsterRun, batch: PartitionBatch) -> str:
         self.runner.show_failed(run.run_id, batch)

@@ -125,7 +125,7 @@ class Ledger:
         with self._database.transaction(write=False) as con:
             return query(con)
 
-    def _restricted(self, sql: str, table: str, arguments: Iterable[str] = (), end: str = "") -> _Query:
+    def _restricted(self, sql: str, table: str, arguments: Iterable[str], end: str = "") -> _Query:
         """Restrict a query that ends in a condition, and then in `end`, to the ledger's aircraft and flights."""
         if self.only is None:
             return f"{sql} {end}", [*arguments]
