@@ -54,7 +54,14 @@ def residuals(samples: pl.DataFrame, twin_flights: pl.DataFrame, dsm: Dsm) -> pl
     packs = dsm.pack_table()
     corrections = packs.select(*PACK, "inlet_bias_k", "inlet_bias_ln")
     cruise = compressor_samples(cruise_samples(samples), packs)
-    rows = cruise.join(_health(twin_flights), on=LEG, how="left", maintain_order="left", validate="m:1")
+    estimates = twin_flights.select(
+        *LEG,
+        twin_ln_ua="ln_ua_ratio",
+        twin_diameter_beyond_m=pl.col("diameter_m") - pl.col("expected_diameter_m"),
+        twin_efficiency="efficiency",
+        twin_group_m3="group_m3",
+    )
+    rows = cruise.join(estimates, on=LEG, how="left", maintain_order="left", validate="m:1")
     rows = rows.join(corrections, on=PACK, how="left", maintain_order="left", validate="m:1")
     columns = _exchanger(rows, dsm) | _compressor(rows, dsm)
     return _summarise(rows, columns, SIGNALS)
@@ -86,17 +93,6 @@ def component_residuals(
     for name in signals:
         columns |= _differences(name, rows[name].cast(pl.Float64).to_numpy(), model_outputs[name], twin[name])
     return _summarise(rows, columns, signals)
-
-
-def _health(twin_flights: pl.DataFrame) -> pl.DataFrame:
-    """Return each flight's own estimates: level of the conductance, diameter, efficiency and flow group."""
-    return twin_flights.select(
-        *LEG,
-        pl.col("ln_ua_ratio").alias("twin_ln_ua"),
-        (pl.col("diameter_m") - pl.col("expected_diameter_m")).alias("twin_diameter_beyond_m"),
-        pl.col("efficiency").alias("twin_efficiency"),
-        pl.col("group_m3").alias("twin_group_m3"),
-    )
 
 
 def _exchanger(rows: pl.DataFrame, dsm: Dsm) -> dict[str, Array]:

@@ -84,19 +84,17 @@ def required_diameter(demand: pl.DataFrame, fit: CompressorFit, speed_rad_s: flo
         NaN where any diameter suffices, or a reading is impossible.
     """
     flow, inlet_k, inlet_pa, no_flow_ln, flow_ln = (
-        demand[c].to_numpy() for c in ("flow_kg_s", "inlet_k", "inlet_pa", "no_flow_ln", "flow_ln")
+        demand[c].to_numpy()[:, None] for c in ("flow_kg_s", "inlet_k", "inlet_pa", "no_flow_ln", "flow_ln")
     )
-    speed = np.full(demand.height, speed_rad_s)
-    columns = []
+    speed = np.asarray(speed_rad_s)
     with np.errstate(all="ignore"):  # missing readings give NaN
-        for share in FLOWS:
-            least_m = effective_diameter_m(inlet_pa, np.exp(no_flow_ln + share**2 * flow_ln), inlet_k, speed)
-            group_m3 = area_diameter_tan_beta_m3(share * flow, inlet_pa, inlet_k, speed)
-            design_m = fit.diameter_m(fit.position_counts(group_m3))
-            columns.append(np.log(least_m / np.where(design_m > 0.0, design_m, np.nan)))
-        widest_m3 = fit.group_at_m3(np.asarray(fit.vda_widest_counts))
-        share_of_widest = inlet_flow_kg_s(widest_m3, inlet_pa, inlet_k, speed) / flow
-    return _finite(np.stack(columns, axis=1)), _finite(np.where(flow > 0.0, share_of_widest, np.nan))
+        least_m = effective_diameter_m(inlet_pa, np.exp(no_flow_ln + FLOWS**2 * flow_ln), inlet_k, speed)
+        design_m = fit.diameter_m(
+            fit.position_counts(area_diameter_tan_beta_m3(FLOWS * flow, inlet_pa, inlet_k, speed))
+        )
+        critical = np.log(least_m / np.where(design_m > 0.0, design_m, np.nan))
+        widest = inlet_flow_kg_s(fit.group_at_m3(np.asarray(fit.vda_widest_counts)), inlet_pa, inlet_k, speed) / flow
+    return _finite(critical), _finite(np.where(flow > 0.0, widest, np.nan))[:, 0]
 
 
 def curves_of(flights: pl.DataFrame, condition: str) -> tuple[Array, Array]:

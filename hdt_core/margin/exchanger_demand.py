@@ -201,11 +201,8 @@ def full_open_outlet_k(
     ram = clean_ram_flow_kg_s(full, design) * np.exp(ln_ram_ratio)
     with np.errstate(divide="ignore", invalid="ignore"):  # Mach 0 leaves no ram flow: NaN
         clean_ln = ln_clean_conductance(full, ram, design)
-        columns = [
-            outlets_k(signals["pack_flow_kg_s"], ram, signals["hx_in_k"], signals["tat_k"], np.exp(clean_ln + r))[0]
-            for r in ln_ratio
-        ]
-    return np.stack(columns, axis=1)
+        flow, hot_in_k, cold_in_k = (signals[n][:, None] for n in ("pack_flow_kg_s", "hx_in_k", "tat_k"))
+        return outlets_k(flow, ram[:, None], hot_in_k, cold_in_k, np.exp(clean_ln[:, None] + ln_ratio))[0]
 
 
 def falls_through(curves: Array, grid: Array, value: float) -> Array:
