@@ -12,7 +12,6 @@ import polars as pl
 
 from hdt_core.physics.terms import TERMS, record_signals
 from hdt_core.robust import Array
-from hdt_core.simulate import log_writer, unit_histories
 from hdt_core.simulate.design import (
     CLIMB_S,
     DESCENT_S,
@@ -27,9 +26,9 @@ from hdt_core.simulate.design import (
     snapshot_times,
 )
 from hdt_core.simulate.packs import loss_ratios
-from hdt_core.simulate.recorder import SUITES, draw_biases, record
-from hdt_core.simulate.signals import Plan, air_data, demand, pack_rows, pick, true_signals
-from hdt_core.simulate.unit_histories import PackHistory
+from hdt_core.simulate.recorder import SUITES, LogWriter, Plan, draw_biases, fleet_row, flight_ids, record
+from hdt_core.simulate.signals import air_data, demand, pack_rows, pick, true_signals
+from hdt_core.simulate.unit_histories import PackHistory, draw_history
 
 PACKS = (1, 2)
 PACK_SIGNALS = {"hx_in_k": "hot_in_k", "hx_out_k": "hot_out_k", "pack_flow_kg_s": "pack_flow_kg_s"}
@@ -125,12 +124,12 @@ def _aircraft(
     air = record(rng, air_data(probe), plan.biases[0], operator.temperature_step_k, plan.suite)
     has_arrived = rng.random(size.flights) > 0.01
     log_flights = np.nonzero(has_arrived & (rng.random(size.flights) < size.cpl_share))[0]
-    rows, truth, book = [], [], log_writer.LogWriter(plan)
+    rows, truth, book = [], [], LogWriter(plan)
     cpl: dict[str, list[pl.DataFrame]] = {}
     weather: dict[int, _Weather] = {}
     for pack in PACKS:
         load = demand(rng, design, now)
-        history = unit_histories.draw_history(rng, operator, design, *pick(now, load, size.flights))
+        history = draw_history(rng, operator, design, *pick(now, load, size.flights))
         true = true_signals(rng, design, now, load=load, history=history)
         signals = _pack_as_recorded(true, probe, size.missing)
         rows.append(pack_rows(rng, plan, now, true=signals, history=history, pack=pack, air=air))
@@ -144,7 +143,7 @@ def _aircraft(
     return Aircraft(
         operator=operator.name,
         tail=tail,
-        fleet=log_writer.fleet_row(rng, operator, tail),
+        fleet=fleet_row(rng, operator, tail),
         snapshots=snapshots.drop(operator.missing).sort("report_time", "pack"),
         cpl={key: pl.concat(parts).drop(operator.missing).sort("report_time", "pack") for key, parts in cpl.items()},
         messages=book.message_frame(),
@@ -157,7 +156,7 @@ def _aircraft(
 def _plan(rng: np.random.Generator, design: PackDesign, operator: Operator, tail: str, size: FleetSettings) -> Plan:
     schedule = draw_schedule(rng, operator, size.flights)
     start = datetime.fromisoformat(size.first_day).replace(tzinfo=UTC)
-    ids = log_writer.flight_ids(tail, start, schedule.departed_s)
+    ids = flight_ids(tail, start, schedule.departed_s)
     biases, has_ram_out = draw_biases(rng), rng.random() < operator.ram_out_share
     return Plan(operator, design, tail, schedule, ids, start, biases, has_ram_out, SUITES[size.suite])
 
@@ -166,7 +165,7 @@ def _log_1hz(
     rng: np.random.Generator,
     plan: Plan,
     index: int,
-    history: unit_histories.PackHistory,
+    history: PackHistory,
     pack: int,
     missing: dict[str, float],
     weather: dict[int, _Weather],

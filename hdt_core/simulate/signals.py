@@ -1,7 +1,6 @@
 """Compute the rows that a recorder keeps of one pack, from conditions and wear."""
 
-from dataclasses import dataclass, replace
-from datetime import datetime
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -9,7 +8,7 @@ from scipy.signal import lfilter
 
 from hdt_core.physics.heat_exchanger import specific_heat_j_kg_k
 from hdt_core.robust import Array
-from hdt_core.simulate.design import Conditions, Operator, PackDesign, Schedule
+from hdt_core.simulate.design import Conditions, PackDesign
 from hdt_core.simulate.packs import (
     Demand,
     behind_worn_compressor,
@@ -22,13 +21,12 @@ from hdt_core.simulate.packs import (
     target_k,
 )
 from hdt_core.simulate.recorder import (
-    CONTRACT,
     FOOT,
     LB_PER_MIN,
     PSI,
     RPM,
     SENSORS,
-    Suite,
+    Plan,
     frame,
     record,
     with_sensor_fault,
@@ -42,21 +40,6 @@ GUST_SD = 0.03
 """Of the ram flow while an aircraft taxies: with it the effectiveness scatters as one recording of a 787 has it."""
 ACMS_COLUMNS = ("flight_id", "report_time", "phase_code", "pack", *SENSORS)
 _PHASES = ("TO", "CL", "CR", "DS", "AP", "GR", "")
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """Properties that both packs of one aircraft share."""
-
-    operator: Operator
-    design: PackDesign
-    tail: str
-    schedule: Schedule
-    ids: Array
-    start: datetime
-    biases: list[dict[str, float]]
-    has_ram_out: bool
-    suite: Suite = CONTRACT
 
 
 def air_data(now: Conditions) -> dict[str, Array]:
