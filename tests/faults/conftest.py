@@ -48,10 +48,8 @@ class Children:
 @pytest.fixture(scope="session")
 def children(sample_home: Path) -> Iterator[Children]:
     """The process that forks children."""
-    zygote = Path(__file__).with_name("zygote.py")
-    with subprocess.Popen(
-        [sys.executable, zygote], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
+    command = [sys.executable, Path(__file__).with_name("zygote.py")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         yield Children(process, sample_home)
         assert process.stdin
         process.stdin.close()

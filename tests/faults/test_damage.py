@@ -233,11 +233,8 @@ def test_no_answer_is_given_from_a_rotten_file(whole, tmp_path):
     rotten(whole, home, "features")
     with connect(home) as con:
         assert con.sql("select count(*) from flights").fetchall() == [(8,)]
-        for query in (
-            "select * from features",
-            "from (select * from routes)",
-            'select count(*) from tables."features"',
-        ):
+        whole, view, count = "* from features", "* from (select * from routes)", 'count(*) from tables."features"'
+        for query in (f"select {what}" for what in (whole, view, count)):
             with pytest.raises(StoreError, match="is not what was written; `hdt nightly` makes it again"):
                 con.execute(query)
 

@@ -57,10 +57,8 @@ def test_killed_at_any_moment(tiny, children, intact, tmp_path):
         home, homes = children.home(tmp_path / f"home{homes}"), homes + 1
         ended: int | None = signal.SIGKILL
         while ended == signal.SIGKILL:
-            last = kills >= KILLS
-            ended, message = children.night(
-                tiny.landing, home, kill_after_s=600 if last else chance.uniform(0.05, 1.0) * 2 ** chance.randrange(4)
-            )
+            after_s = 600 if kills >= KILLS else chance.uniform(0.05, 1.0) * 2 ** chance.randrange(4)
+            ended, message = children.night(tiny.landing, home, kill_after_s=after_s)
             kills += ended == signal.SIGKILL
             intact(home)
         assert (ended, message) == (0, "")

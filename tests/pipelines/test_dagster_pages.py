@@ -203,9 +203,8 @@ def started(clone: Path, *words: str, home: bool) -> Iterator[subprocess.Popen[s
 
 def new_files(clone: Path) -> str:
     """What git would show as new."""
-    return subprocess.run(
-        ["git", "status", "--porcelain", "--untracked-files=all"], cwd=clone, capture_output=True, text=True, check=True
-    ).stdout.replace("A  ", "")
+    command = ["git", "status", "--porcelain", "--untracked-files=all"]
+    return subprocess.run(command, cwd=clone, capture_output=True, text=True, check=True).stdout.replace("A  ", "")
 
 
 def test_definitions_validate_without_a_home_of_dagsters(clone):

@@ -94,12 +94,9 @@ def deliver_compressors(landing: Path) -> None:
     worn = landing / "AQX" / "AQ-WORN"
     failed, done = flight_id("AQ-WORN", FAILS), datetime(2024, 3, 1, tzinfo=UTC) + timedelta(days=REPLACED - 1)
     raised = f"{datetime(2024, 3, 1, 8, 30, tzinfo=UTC) + timedelta(days=FAILS):%Y-%m-%dT%H:%M:%SZ}"
-    (worn / "messages.csv").write_text(
-        f"message_time,flight_id,pack,code,text\n{raised},{failed},2,47-31-NGTEMP,NGS COMPR HOT\n"
-    )
-    (worn / "maintenance.csv").write_text(
-        f"done_on,pack,component,action,finding,reference\n{done:%Y-%m-%d},2,NG,REPLACED,DAMAGED,WO-1\n"
-    )
+    message, work = f"{raised},{failed},2,47-31-NGTEMP,NGS COMPR HOT", f"{done:%Y-%m-%d},2,NG,REPLACED,DAMAGED,WO-1"
+    (worn / "messages.csv").write_text(f"message_time,flight_id,pack,code,text\n{message}\n")
+    (worn / "maintenance.csv").write_text(f"done_on,pack,component,action,finding,reference\n{work}\n")
 
 
 def spoil(landing: Path) -> None:
@@ -151,9 +148,8 @@ def test_the_page_says_what_the_night_found(world):
     assert "Other components most in need of attention" in world["said"]
     raised = query_rows(world, "select raised_flight_id, raised_severity from alerts where component = 'HC'")
     assert raised == [("CYCLE-0745", "high")]
-    ((loss,),) = query_rows(
-        world, "select value from health_parameters where parameter = 'hc_fouling' and flight_id = 'CYCLE-0745'"
-    )
+    sql = "select value from health_parameters where parameter = 'hc_fouling' and flight_id = 'CYCLE-0745'"
+    ((loss,),) = query_rows(world, sql)
     assert 0.45 < loss < 0.55
     for command in blocks("")[1:]:
         for sql in re.findall(r'hdt query --home home "(.*)"', command):
@@ -171,10 +167,8 @@ def test_the_loss_is_known_as_it_was_made(world):
 
 
 def test_the_alert_comes_before_the_message_and_remaining_life_holds_the_truth(world):
-    alerts = query_rows(
-        world, "select tail, raised_flight_id, closed_at, recommended_action from alerts where component = 'NG'"
-    )
-    ((tail, raised, closed, action),) = alerts
+    sql = "select tail, raised_flight_id, closed_at, recommended_action from alerts where component = 'NG'"
+    ((tail, raised, closed, action),) = query_rows(world, sql)
     assert tail == "AQ-WORN"
     assert flight_id(tail, 60) < raised < flight_id(tail, 130)  # 8 % are lost at flight 94
     assert closed.date() == (datetime(2024, 3, 1, tzinfo=UTC) + timedelta(days=REPLACED)).date()
@@ -191,9 +185,8 @@ def test_the_alert_comes_before_the_message_and_remaining_life_holds_the_truth(w
     assert np.mean([abs(truth - middle) for truth, _, middle, _, _ in rows]) < 25
     assert rows[0][4] < 0.1
     assert rows[-1][4] > 0.5
-    ((sound,),) = query_rows(
-        world, "select max(p_event_50) from prognoses where component = 'NG' and tail = 'AQ-SOUND'"
-    )
+    sql = "select max(p_event_50) from prognoses where component = 'NG' and tail = 'AQ-SOUND'"
+    ((sound,),) = query_rows(world, sql)
     assert sound < 0.1
 
 
@@ -207,11 +200,8 @@ def test_bad_rows_are_told_and_cost_nothing_else_and_the_report_names_each_unit(
         (6, None, "bad_pack"),
         (None, None, "unexpected_name"),
     } == entries
-    ((delivered, loaded, quarantined),) = query_rows(
-        world,
-        "select sum(delivered), sum(loaded), sum(quarantined) from deliveries where file like '%AQ-SOUND/ng/%.csv'",
-    )
-    assert (delivered, loaded, quarantined) == (20 * FLIGHTS, 20 * FLIGHTS - 2, 2)
+    sql = "select sum(delivered), sum(loaded), sum(quarantined) from deliveries where file like '%AQ-SOUND/ng/%.csv'"
+    assert query_rows(world, sql) == [(20 * FLIGHTS, 20 * FLIGHTS - 2, 2)]
     assert faults(world["home"], world["landing"]) == []
     page = tmp_path / "report.html"
     assert hdt(world, "report", "--out", page).returncode == 0
@@ -221,14 +211,13 @@ def test_bad_rows_are_told_and_cost_nothing_else_and_the_report_names_each_unit(
 
 
 def test_a_second_night_takes_in_what_is_new_of_one_aircraft_alone(world):
-    before = dict(query_rows(world, "select tail, count(*) from component_features group by tail"))
+    sql = "select tail, count(*) from component_features group by tail"
+    before = dict(query_rows(world, sql))
     late = flight_id("AQ-SOUND", FLIGHTS)
     TRUTH["AQ-SOUND"] = np.append(TRUTH["AQ-SOUND"], 0.0)
     compressor_flight("AQ-SOUND", FLIGHTS).write_csv(world["landing"] / "AQX/AQ-SOUND/ng" / f"{late}.csv")
     done = hdt(world, "nightly", "--landing", world["landing"])
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r"1 new of \d+ files, 2 cells in 2 runs", done.stdout), done.stdout
-    assert dict(query_rows(world, "select tail, count(*) from component_features group by tail")) == before | {
-        "AQ-SOUND": before["AQ-SOUND"] + 1
-    }
+    assert dict(query_rows(world, sql)) == before | {"AQ-SOUND": before["AQ-SOUND"] + 1}
     assert "Nothing new" in hdt(world, "nightly", "--landing", world["landing"]).stdout

@@ -63,9 +63,8 @@ def test_what_only_looks_needs_no_leave_to_write(read_only, tmp_path, command):
     run = [sys.executable, "-c", "from pipelines.cli import main; main()", *words_of(command, landing, home, tmp_path)]
     done = subprocess.run(run, capture_output=True, text=True, check=False, preexec_fn=as_anybody)
     if command == "doctor":  # which is asked whether a night could run
-        assert [line for line in done.stdout.splitlines() if "FAULT" in line] == [
-            f"FAULT  home: {home} is not writable"
-        ]
+        faults = [line for line in done.stdout.splitlines() if "FAULT" in line]
+        assert faults == [f"FAULT  home: {home} is not writable"]
     else:
         assert done.returncode == 0, done.stderr
 

@@ -195,9 +195,7 @@ def test_what_is_written_otherwise_than_agreed_is_told(folders, sample_home):
     assert run(landing, home).failed == {}
     assert faults(home, landing) == []
     with connect(home) as con:
-        entries = con.execute(
-            "select distinct file, reason, column_name from quarantine where scope != 'value'"
-        ).fetchall()
+        entries = con.sql("select distinct file, reason, column_name from quarantine where scope != 'value'").fetchall()
     assert set(entries) == {
         (f"QQX/Z9/acms/{swapped}.csv", "swapped_columns", "hx_in_degc, hx_out_degc"),
         (f"QQX/Z9/acms/{fahrenheit}.csv", "wrong_unit", "tat_degc"),
@@ -261,9 +259,8 @@ def test_a_row_that_breaks_its_declaration_is_set_aside_and_the_others_are_store
 
     def estimate(samples, dsm):
         odd = (pl.col("flight_id") == sick) & (pl.col("pack") == 2)
-        return real(samples, dsm).with_columns(
-            pl.when(odd).then(float("inf")).otherwise("flows_apart_ln").alias("flows_apart_ln")
-        )
+        infinite = pl.when(odd).then(float("inf")).otherwise("flows_apart_ln")
+        return real(samples, dsm).with_columns(infinite.alias("flows_apart_ln"))
 
     monkeypatch.setattr(twin_assets, "estimate_flights", estimate)
     assert run(landing, home).failed == {}

@@ -66,15 +66,13 @@ def filled(phrase: str) -> str:
 def test_a_phrase_is_known_again_with_its_values_and_retold_as_it_was_translated(phrase):
     match = pattern_of(phrase).fullmatch(filled(phrase))
     assert match is not None
-    assert {k: v for k, v in match.groupdict().items() if k != "small"} == {
-        k: SAMPLE.get(k, "7") for k in fields(phrase)
-    }
+    values = {k: v for k, v in match.groupdict().items() if k != "small"}
+    assert values == {k: SAMPLE.get(k, "7") for k in fields(phrase)}
     with use_language("de"):
         retold = translate_evidence(filled(phrase))
     to = next(m.string for m in catalog("de") if m.id == phrase)
-    assert re.fullmatch(
-        "".join(re.escape(t) + (".+" if f else "") for t, f, _, _ in string.Formatter().parse(to)), retold
-    )
+    parts = string.Formatter().parse(to)
+    assert re.fullmatch("".join(re.escape(text) + (".+" if name else "") for text, name, _, _ in parts), retold)
 
 
 def test_every_signal_and_check_has_a_plain_name():

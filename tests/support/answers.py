@@ -4,11 +4,8 @@ from importlib import resources
 
 import duckdb
 
-CHECKS = {
-    f.name.removesuffix(".sql"): f.read_text()
-    for f in sorted((resources.files("sql") / "checks").iterdir(), key=lambda f: f.name)
-    if f.name.endswith(".sql")
-}
+FILES = sorted((resources.files("sql") / "checks").iterdir(), key=lambda f: f.name)
+CHECKS = {f.name.removesuffix(".sql"): f.read_text() for f in FILES if f.name.endswith(".sql")}
 
 
 def rows(con: duckdb.DuckDBPyConnection, sql: str) -> list[tuple]:

@@ -35,10 +35,8 @@ def with_bias(*packs: tuple[str, int], **bias: float) -> Dsm:
 
 def flights(n: int, *, tail: str = "T-1", pack: int = 1, **columns: Any) -> pl.DataFrame:
     """A flight a day of one pack."""
-    named = {
-        "flight_id": [f"{tail}_{k:03d}" for k in range(n)],
-        "departed_at": [START + timedelta(k) for k in range(n)],
-    }
+    departed = [START + timedelta(k) for k in range(n)]
+    named = {"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": departed}
     values = {name: pl.Series(v) if isinstance(v, list) else pl.lit(v) for name, v in columns.items()}
     return pl.DataFrame(named).with_columns(
         operator=pl.lit("TST"), tail=pl.lit(tail), pack=pl.lit(pack, pl.Int32), status=pl.lit("ok")

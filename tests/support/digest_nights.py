@@ -44,9 +44,8 @@ def publish_night(home: Path, night: Night) -> None:
     store, own = Store(home) if home.exists() else empty_home(home), [("AAA", "T-1")]
     low, middle, high = night.outlook
     fields = {"pack": 1, "component": "HX", "model_version": "m", "split": "live", "p_event_50": 0.2}
-    outlook = [
-        flight(n) | fields | {"rul_low": low, "rul_flights": middle, "rul_high": high} for n in range(night.last + 1)
-    ]
+    fields |= {"rul_low": low, "rul_flights": middle, "rul_high": high}
+    outlook = [flight(n) | fields for n in range(night.last + 1)]
     life = {"life": 0, "first_row": 0, "end_row": night.last + 1, "n_flights": night.last + 1, "censored": True}
     life |= {"operator": "AAA", "tail": "T-1", "pack": 1, "component": "HX", "age_known": False}
     store.replace("raw_flights", own, pl.DataFrame([flight(n) for n in range(night.last + 1)]))

@@ -54,9 +54,8 @@ def grid(**columns: object) -> Grid:
         pl.Series(k, np.broadcast_to(v, FLIGHTS)) if not isinstance(v, pl.Expr) else v.alias(k)
         for k, v in columns.items()
     ]
-    return Grid.from_frame(
-        frame.with_columns(*own, *extra).cast({"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")})
-    )
+    typed = {"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")}
+    return Grid.from_frame(frame.with_columns(*own, *extra).cast(typed))
 
 
 def spans(cases: list[Case]) -> list[tuple[str, int, int | None]]:

@@ -23,7 +23,6 @@ def walk(name: str, section: str = "") -> dict[str, object]:
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             exec(compile(code, name, "exec"), namespace)
-        assert printed.getvalue().strip() == promised.strip(), (
-            f"{name} promises\n{promised}\nand prints\n{printed.getvalue()}"
-        )
+        output = printed.getvalue()
+        assert output.strip() == promised.strip(), f"{name} promises\n{promised}\nand prints\n{output}"
     return namespace

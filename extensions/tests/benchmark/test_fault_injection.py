@@ -16,6 +16,7 @@ from hdt_core.simulate.recorder import LB_PER_MIN
 from hdt_core.tracking.track import track
 
 PACK = 2
+KEY = ["flight_id", "pack", "report_time"]
 TOUCHED = ("ram_door_pct", "hx_out_degc", "ram_out_degc")
 
 
@@ -32,9 +33,8 @@ def rows(page) -> pl.DataFrame:
     """Snapshots of one aircraft, with a ram outlet sensor that reads what the heat balance says at 1.5 kg/s."""
     cooled = pl.col("hx_in_degc") - pl.col("hx_out_degc")
     snapshots = page["rows"]["A9-BAC"].drop("ram_out_degc", strict=False)
-    return snapshots.with_columns(
-        (pl.col("tat_degc") + cooled * pl.col("pack_flow_lbpm") * LB_PER_MIN / 1.5).alias("ram_out_degc")
-    )
+    warmed = cooled * pl.col("pack_flow_lbpm") * LB_PER_MIN / 1.5
+    return snapshots.with_columns(ram_out_degc=pl.col("tat_degc") + warmed)
 
 
 def cruise(frame: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
@@ -62,11 +62,8 @@ def test_other_pack_earlier_flights_and_other_columns_stay(page, rows, fault):
 
 def test_the_controller_opens_the_door_before_the_outlet_warms(page, rows):
     injected = inject(rows, Fouling(0.15), pack=PACK, first_flight=page["first"])
-    both = cruise(injected.rows, injected.truth).join(
-        rows.select("flight_id", "pack", "report_time", "ram_door_pct", "hx_out_degc"),
-        on=["flight_id", "pack", "report_time"],
-        suffix="_before",
-    )
+    before = rows.select(*KEY, "ram_door_pct", "hx_out_degc")
+    both = cruise(injected.rows, injected.truth).join(before, on=KEY, suffix="_before")
     complete = both.drop_nulls([*TOUCHED, "hx_in_degc", "tat_degc", "pt_psia", "pack_flow_lbpm", "altitude_ft", "mach"])
     door, before = complete["ram_door_pct"], complete["ram_door_pct_before"]
     warmer = complete["hx_out_degc"] - complete["hx_out_degc_before"]
@@ -81,10 +78,8 @@ def test_the_controller_opens_the_door_before_the_outlet_warms(page, rows):
 def test_heat_that_the_hot_side_keeps_the_ram_air_lacks(page, rows):
     fault = Fouling(0.3, masked=False)
     injected = inject(rows, fault, pack=PACK, first_flight=page["first"], **page["ours"])
-    key = ["flight_id", "pack", "report_time"]
-    both = cruise(injected.rows, injected.truth).join(
-        rows.select(*key, "hx_out_degc", "ram_out_degc"), on=key, suffix="_before"
-    )
+    before = rows.select(*KEY, "hx_out_degc", "ram_out_degc")
+    both = cruise(injected.rows, injected.truth).join(before, on=KEY, suffix="_before")
     complete = both.drop_nulls(["hx_in_degc", "hx_out_degc", "ram_out_degc"])
     air = {
         "total_pressure_pa": 6894.757293168 * complete["pt_psia"].to_numpy(),
@@ -94,10 +89,8 @@ def test_heat_that_the_hot_side_keeps_the_ram_air_lacks(page, rows):
         "ram_door_open": 0.01 * complete["ram_door_pct"].to_numpy(),
     }
     ram_kg_s = page["ours"]["duct"].predict({}, air)["ram_flow_kg_s"]
-    out_k, before_k, ram_k, ram_before_k = (
-        complete[c].to_numpy() + 273.15
-        for c in ("hx_out_degc", "hx_out_degc_before", "ram_out_degc", "ram_out_degc_before")
-    )
+    columns = ("hx_out_degc", "hx_out_degc_before", "ram_out_degc", "ram_out_degc_before")
+    out_k, before_k, ram_k, ram_before_k = (complete[c].to_numpy() + 273.15 for c in columns)
     hot_w_k = complete["pack_flow_lbpm"].to_numpy() * LB_PER_MIN * mean_specific_heat_j_kg_k(before_k, out_k)
     hot_w = hot_w_k * (out_k - before_k)
     lacks = ram_kg_s * mean_specific_heat_j_kg_k(ram_k, ram_before_k) * (ram_before_k - ram_k)
@@ -123,22 +116,13 @@ def test_the_health_track_rises_by_it(page):
     """
     tail, first = page["TAIL"], page["first"]
     flown = page["as_flown"].filter(pl.col("tail") == tail)
-    inspection = {
-        "operator": flown["operator"][0],
-        "tail": tail,
-        "pack": PACK,
-        "component": "HX",
-        "action": "INSPECTED",
-    }
-    day = flown["departed_at"].dt.date().min()
-    log = pl.concat([page["no_work"], pl.DataFrame([inspection | {"done_on": day}])], how="diagonal_relaxed")
+    place = {"operator": flown["operator"][0], "tail": tail, "pack": PACK, "component": "HX"}
+    inspection = place | {"action": "INSPECTED", "done_on": flown["departed_at"].dt.date().min()}
+    log = pl.concat([page["no_work"], pl.DataFrame([inspection])], how="diagonal_relaxed")
     injected = inject(page["rows"][tail], Fouling(0.25, over_flights=100), pack=PACK, first_flight=first)
     after = estimate_flights(page["admitted_legs"](injected.rows, tail)[1], page["dsm"])
     both = [track(f, log, page["dsm"]).health for f in (after, flown)]
-    late, before = (
-        t.filter((pl.col("parameter") == "hx_fouling") & (pl.col("pack") == PACK)).sort("departed_at").tail(40)
-        for t in both
-    )
+    late, before = (t.filter(parameter="hx_fouling", pack=PACK).sort("departed_at").tail(40) for t in both)
     expected = 1.0 - (1.0 - 0.25) * (1.0 - before["value"].to_numpy())
     off = late["value"].to_numpy() - expected
     assert np.abs(off).max() < 0.06

@@ -67,11 +67,8 @@ def test_it_relaxes_as_the_closed_form_does(tank):
 
 def record(tank, loss, n=120):
     rng = np.random.default_rng(1)
-    inputs = {
-        "oil_flow_w_k": 250.0 + 60.0 * np.sin(np.arange(n) / 9.0),
-        "oil_in_k": np.full(n, 330.0),
-        "air_in_k": np.full(n, 295.0),
-    }
+    flow = 250.0 + 60.0 * np.sin(np.arange(n) / 9.0)
+    inputs = {"oil_flow_w_k": flow, "oil_in_k": np.full(n, 330.0), "air_in_k": np.full(n, 295.0)}
     true = tank.simulate({"hc_fouling": loss}, inputs, 5.0)["return_k"]
     return inputs, {"return_k": true + 0.1 * rng.standard_normal(n)}
 

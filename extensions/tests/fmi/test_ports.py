@@ -25,12 +25,8 @@ WIRES = {
 def one_after_another(params):
     cc = COMPRESSOR.predict(params, FLIGHT)
     duct = RAM_DUCT.predict(params, FLIGHT)
-    inputs = {
-        "hot_in_k": cc["cc_out_k"],
-        "hot_flow_kg_s": cc["cc_flow_kg_s"],
-        "ram_flow_kg_s": duct["ram_flow_kg_s"],
-        "cold_in_k": FLIGHT["tat_k"],
-    }
+    inputs = {"hot_in_k": cc["cc_out_k"], "hot_flow_kg_s": cc["cc_flow_kg_s"], "cold_in_k": FLIGHT["tat_k"]}
+    inputs["ram_flow_kg_s"] = duct["ram_flow_kg_s"]
     return cc | duct | HEAT_EXCHANGER.predict(params, inputs)
 
 

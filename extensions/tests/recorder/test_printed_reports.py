@@ -160,9 +160,8 @@ def test_a_report_says_what_its_layout_declares_in_plain_text_too():
     result = read(OTHER, REPORT, REPORT)
     assert result.rejected == ()
     assert result.undeclared == ("A999 DOOR REPORT(TST)",)
-    assert [(x.report, x.row) for x in result.lines[:7]] == [
-        (1, r) for r in ("C1", "N1", "N2", "S1", "S2", "E1", "REASON:")
-    ]
+    rows = ("C1", "N1", "N2", "S1", "S2", "E1", "REASON:")
+    assert [(x.report, x.row) for x in result.lines[:7]] == [(1, r) for r in rows]
     assert {x.report for x in result.lines} == {1, 2}
     values = {x.row: x.values for x in result.lines}
     assert values["C1"] == {"acid": ".X-ABCD", "date": "05MAR26", "flight": "TST1234"}

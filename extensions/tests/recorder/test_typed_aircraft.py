@@ -80,9 +80,8 @@ def world(tmp_path_factory) -> dict[str, Any]:
     crossfed = {"flight": cruise["flight_id"][0], "at": cruise["report_time"][0]}
     (landing / "SAB/AA-0000/reports").mkdir()
     report = printed_report("AA-0000", crossfed["at"], 35_000, "1.20 111 11 1 00 111 1.20")
-    (landing / "SAB/AA-0000/reports/message.dat").write_bytes(
-        message_file(report, report.replace("AA-0000", "AA-0001"))
-    )
+    reports = message_file(report, report.replace("AA-0000", "AA-0001"))
+    (landing / "SAB/AA-0000/reports/message.dat").write_bytes(reports)
     night = run(landing, top / "home")
     assert not night.failed, night.failed
     return {"landing": landing, "home": top / "home", "damaged": first.name, "stranger": stranger.name} | crossfed

@@ -159,11 +159,8 @@ def truth(units: list[Unit], declared: Declaration) -> dict[str, float]:
             low.append(life < a)
             soon.append(life <= 50)
     new = [event and lead(at, event) for u in units for at, event in u.alerts if 0 <= at < SEALED]
-    right = [
-        declared.late_flights <= (lead_flights or 0) <= declared.early_flights
-        for lead_flights in new
-        if lead_flights is None or lead_flights > 0
-    ]
+    judged = (lead_flights or 0 for lead_flights in new if lead_flights is None or lead_flights > 0)
+    right = [declared.late_flights <= lead_flights <= declared.early_flights for lead_flights in judged]
     return {
         "false_alarms": 1000.0 * false / flown,
         "foretold": hits / events,

@@ -19,10 +19,8 @@ from pipelines.intake.readers import Reader, ReaderError, readers
 from pipelines.intake.snapshots import read_snapshots
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
-CHANNELS = tuple(
-    Channel(f"{name}_si", name, "", name, low=0.0, high=1000.0)
-    for name in ("hot_flow_kg_s", "ram_flow_kg_s", "hot_in_k", "cold_in_k")
-)
+NAMES = ("hot_flow_kg_s", "ram_flow_kg_s", "hot_in_k", "cold_in_k")
+CHANNELS = tuple(Channel(f"{name}_si", name, "", name, low=0.0, high=1000.0) for name in NAMES)
 LINE = "{flight},2025-06-01T00:00:{second:02d}Z,1,0.9,1.6,{hot},250\n"
 HEAD = "flight_id,report_time,pack,hot_flow_kg_s_si,ram_flow_kg_s_si,hot_in_k_si,cold_in_k_si\n"
 
@@ -159,12 +157,8 @@ def test_each_folder_has_its_reader(bring):
 
 
 def test_without_a_reader_folders_are_set_aside_by_name_and_nothing_else_is(bring, tmp_path):
-    for path in (
-        "types/T.toml",
-        "AAA/T-1/recorder/T-1_20240101_01.dat",
-        "AAA/T-1/reports/a.dat",
-        "AAA/T-1/cpl/a.parquet",
-    ):
+    files = ("recorder/T-1_20240101_01.dat", "reports/a.dat", "cpl/a.parquet")
+    for path in ("types/T.toml", *(f"AAA/T-1/{file}" for file in files)):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).touch()
     bring()

@@ -205,7 +205,6 @@ def test_parquet_that_unpacks_to_more_than_memory_is_refused_before_it_is_unpack
     bombs = {"history_2024-06.parquet": claims_too_much, "history_2024-07.parquet": long_words}
     deliver({f"AQX/LX-AAA/acms/{name}": make(good_flight) for name, make in bombs.items()} | {CSV: good_flight})
     one_thread = os.environ | {"POLARS_MAX_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", UNDER_A_LIMIT, tmp_path], env=one_thread, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-c", UNDER_A_LIMIT, tmp_path]
+    done = subprocess.run(command, env=one_thread, capture_output=True, text=True, check=False)
     assert done.stdout.strip() == f"['too_large'] {N}", done.stderr

@@ -50,9 +50,8 @@ and Celsius say the same."""
 @pytest.fixture(scope="module")
 def fleet():
     """A month of four aircraft of two operators, faults, dead sensors and switched-off packs included."""
-    paths = [
-        p for tail in ("LX-AAA", "LX-AAB", "A9-BAB", "A9-BAD") for p in SAMPLES.glob(f"*/{tail}/acms/*-04.parquet")
-    ]
+    tails = ("LX-AAA", "LX-AAB", "A9-BAB", "A9-BAD")
+    paths = [p for tail in tails for p in SAMPLES.glob(f"*/{tail}/acms/*-04.parquet")]
     frame = pl.concat([pl.read_parquet(p) for p in paths], how="diagonal_relaxed")
     return frame.with_columns(pl.lit(0, pl.Int32).alias("file_index"))
 
@@ -72,9 +71,8 @@ def test_one_column_in_another_unit_is_found(column, unit, reason, fleet):
 
 def count_slips(slips: pl.DataFrame, columns: tuple[str, ...], words: str) -> int:
     """Rows of which just these columns are told, in these words."""
-    return slips.filter(
-        pl.col("column_name") == ", ".join(columns), pl.col("sentence").str.contains(words, literal=True)
-    ).height
+    told = pl.col("sentence").str.contains(words, literal=True)
+    return slips.filter(told, column_name=", ".join(columns)).height
 
 
 @pytest.mark.parametrize(
@@ -149,9 +147,8 @@ def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(eighth)
 def test_a_sensor_that_reads_too_much_is_no_slip_of_the_pen(column, off, eighth):
     """On one pack, as sensors fail, or the one probe of the aircraft: stored, and judged flight by flight."""
     sick = pl.col("pack") == 1 if column != "tat_degc" else pl.lit(True)
-    slips = find_unit_slips(
-        eighth.with_columns(pl.when(sick).then(pl.col(column) + off).otherwise(column).alias(column))
-    )
+    shifted = pl.when(sick).then(pl.col(column) + off).otherwise(column)
+    slips = find_unit_slips(eighth.with_columns(shifted.alias(column)))
     assert slips.height < 0.01 * eighth.height, slips.group_by("column_name", "sentence").len()
 
 

@@ -54,9 +54,8 @@ def test_the_sample_page_is_sound_and_the_same_catalog_makes_the_same_bytes(read
     sound(parsed)
     assert "://" not in sample_page
     # nothing is fetched, no text becomes a program
-    assert policy(parsed).startswith(
-        "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-"
-    )
+    styles = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+    assert policy(parsed).startswith(f"{styles}; script-src 'sha256-")
     assert "unsafe-eval" not in policy(parsed)
     write_report(sample_home, tmp_path / "report.html")
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == sample_page
@@ -145,9 +144,8 @@ def test_a_frame_places_its_corners():
     frame = Frame((0.0, 10.0), (-10.0, 40.0))
     assert (frame.across(0.0), frame.across(10.0), frame.down(40.0), frame.down(-10.0)) == (0.0, SIDE, 0.0, SIDE)
     assert frame.line([(5.0, 15.0)]) == "500,500"
-    assert (
-        frame.area({"x": [0.0, 10.0], "low": [-10.0, -10.0], "high": [40.0, 15.0]}) == "0,0 1000,500 1000,1000 0,1000"
-    )
+    area = {"x": [0.0, 10.0], "low": [-10.0, -10.0], "high": [40.0, 15.0]}
+    assert frame.area(area) == "0,0 1000,500 1000,1000 0,1000"
 
 
 def test_a_card_has_every_choice_with_chance_cost_and_work(facts):
@@ -166,12 +164,8 @@ def test_a_card_has_every_choice_with_chance_cost_and_work(facts):
 def test_nine_of_ten_packs_lie_in_the_band_of_the_fleet(facts):
     """A made fleet of forty packs, the k-th of which lost k per cent all the time."""
     days = pl.datetime_range(pl.datetime(2024, 1, 1), pl.datetime(2024, 6, 1), "1d", time_zone="UTC", eager=True)
-    rows = [
-        pl.DataFrame({"departed_at": days}).with_columns(
-            operator=pl.lit("AAA"), tail=pl.lit(f"T-{k}"), pack=1, parameter=pl.lit("hx_fouling"), value=k / 100
-        )
-        for k in range(41)
-    ]
+    own = {"departed_at": days, "operator": "AAA", "pack": 1, "parameter": "hx_fouling"}
+    rows = [pl.DataFrame(own | {"tail": f"T-{k}", "value": k / 100}) for k in range(41)]
     band = fleet_band(replace(facts, frames=facts.frames | {"health": pl.concat(rows)}))
     assert len(band["x"]) > 30
     assert set(band["low"]) == {2.0}
@@ -202,20 +196,17 @@ def first_flights(facts: Facts, n: int) -> Facts:
     """What the page knows after the first flights of one aircraft, nothing being calibrated."""
     tail = facts["flights"]["tail"][0]
     flights = facts["flights"].filter(tail=tail).head(n)["flight_id"].implode()
+    own = pl.col("flight_id").is_in(flights)
     frames = {name: f.filter(tail=tail) if "tail" in f.columns else f for name, f in facts.frames.items()}
-    frames = {
-        name: f.filter(pl.col("flight_id").is_in(flights)) if "flight_id" in f.columns else f
-        for name, f in frames.items()
-    }
+    frames = {name: f.filter(own) if "flight_id" in f.columns else f for name, f in frames.items()}
     frames |= {name: frames[name].clear() for name in ("alerts", "messages", "maintenance", "design", "gaps")}
     unknown = pl.lit(None, dtype=pl.Float64)
-    ranking = frames["ranking"].with_columns(
-        unknown.alias(c) for c in ("rul_flights", "rul_low", "rul_high", "p_event_50", "cc_p_event_50")
-    )
+    outlook = ("rul_flights", "rul_low", "rul_high", "p_event_50", "cc_p_event_50")
+    ranking = frames["ranking"].with_columns(unknown.alias(c) for c in outlook)
     frames["ranking"] = ranking.with_columns(
         diagnoses=pl.lit(None, dtype=pl.String), raised_at=None, urgency=pl.lit("none"), hx_fouling_sd=unknown
     )
-    frames["twin"] = facts["twin"].filter(tail=tail).filter(pl.col("flight_id").is_in(flights))
+    frames["twin"] = facts["twin"].filter(own, tail=tail)
     return replace(facts, frames=frames | {"segment": facts["segment"].clear()}, card={}, dsm=None)
 
 

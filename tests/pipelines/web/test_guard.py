@@ -63,10 +63,9 @@ def test_a_body_whose_length_nobody_tells_is_refused():
 
 
 def test_every_answer_has_the_headers_and_the_page_may_be_stricter():
+    expected = {k: v for k, v in HEADERS.items() if k != "referrer-policy"}
     for answer in (Client(GUARD).get("/"), Client(GUARD).get("/", headers={"host": "evil.example"})):
-        assert {k: v for k, v in answer.headers.items() if k in HEADERS and k != "referrer-policy"} == {
-            k: v for k, v in HEADERS.items() if k != "referrer-policy"
-        }
+        assert expected.items() <= dict(answer.headers).items()
     assert Client(GUARD).get("/").headers["referrer-policy"] == "no-referrer"
 
 

@@ -85,19 +85,21 @@ CHANGES = {
 }
 
 
-def test_without_being_asked_the_page_changes_nothing(plain_port, home):
+def test_without_being_asked_the_page_changes_nothing(sample_landing, home):
     before = runs(home)
-    status, answer = over_http(plain_port, "POST", "/graphql", QUERY)
-    assert status == 200
-    assert {"path": ["features"]} in [node["assetKey"] for node in json.loads(answer)["data"]["assetNodes"]]
-    for name, change in CHANGES.items():
-        _, answer = over_http(plain_port, "POST", "/graphql", f"mutation {{ {change} }}")
-        assert b"UnauthorizedError" in answer, (name, answer)
-    assert over_http(plain_port, "POST", "/report_asset_materialization/features", "x")[0] == 401
-    assert b"UnauthorizedError" in over_http(plain_port, "POST", "/graphql", deletion(home))[1]
-    assert over_http(plain_port, "GET", "/graphql?query=mutation")[0] == 405
-    assert over_http(plain_port, "POST", "/graphql", QUERY, Origin="http://evil.example")[0] == 403
-    assert over_http(plain_port, "GET", "/", Host="evil.example")[0] == 403
+    with opened(sample_landing, home) as (plain_port, token):
+        assert token == ""
+        status, answer = over_http(plain_port, "POST", "/graphql", QUERY)
+        assert status == 200
+        assert {"path": ["features"]} in [node["assetKey"] for node in json.loads(answer)["data"]["assetNodes"]]
+        for name, change in CHANGES.items():
+            _, answer = over_http(plain_port, "POST", "/graphql", f"mutation {{ {change} }}")
+            assert b"UnauthorizedError" in answer, (name, answer)
+        assert over_http(plain_port, "POST", "/report_asset_materialization/features", "x")[0] == 401
+        assert b"UnauthorizedError" in over_http(plain_port, "POST", "/graphql", deletion(home))[1]
+        assert over_http(plain_port, "GET", "/graphql?query=mutation")[0] == 405
+        assert over_http(plain_port, "POST", "/graphql", QUERY, Origin="http://evil.example")[0] == 403
+        assert over_http(plain_port, "GET", "/", Host="evil.example")[0] == 403
     assert runs(home) == before
 
 

@@ -107,11 +107,8 @@ def test_the_examples_of_arinc_647a_are_read():
     assert len(frame_717.parameters["Control Column Position"].samples) == 16
     unreadable = {n: p.unreadable for n, p in frame_717.parameters.items() if p.unreadable}
     assert set(unreadable) == {"Rudder Ped Pos", "Lateral Range"}
-    assert [(f.title, f.rate_hz) for f in frame_767.frames.values()] == [
-        ("1 Hz Parameters", 1.0),
-        ("Rudder Exceedance Parameters", None),
-        ("4 Hz Parameters", 4.0),
-    ]
+    rates = {"1 Hz Parameters": 1.0, "Rudder Exceedance Parameters": None, "4 Hz Parameters": 4.0}
+    assert [(f.title, f.rate_hz) for f in frame_767.frames.values()] == [*rates.items()]
     assert frame_767.frames[3].size == 12 + 3  # two of 12 bits
 
 
