@@ -188,14 +188,16 @@ def test_units_are_those_of_physics(good_flight, deliver, read):
     assert row["cc_speed_rad_s"] == pytest.approx(12904 * 1.047198e-1, rel=1e-6)
 
 
-def test_csv_and_history_say_the_same_local_time_is_converted_and_a_leap_day_is_a_day(good_flight, deliver, read, now):
-    rows = read(deliver({CSV: good_flight, HISTORY: by.parquet(good_flight)})).rows
-    merged = merge_deliveries([rows], {})
+def test_local_time_with_offset_is_converted_and_csv_and_history_of_a_flight_say_the_same(good_flight, deliver, read):
+    shifted = read(deliver({CSV: by.retimed(lambda t: t[:-1] + "+02:00")(good_flight)})).rows["time_utc"]
+    assert (read(deliver({CSV: good_flight})).rows["time_utc"] - shifted == timedelta(hours=2)).all()
+    merged = merge_deliveries([read(deliver({HISTORY: by.parquet(good_flight)})).rows], {})
     assert merged.rows.height == N
     assert merged.duplicates["n_duplicate"].sum() == N
     assert merged.quarantine.is_empty()
-    shifted = read(deliver({CSV: by.retimed(lambda t: t[:-1] + "+02:00")(good_flight)})).rows["time_utc"]
-    assert (read(deliver({CSV: good_flight})).rows["time_utc"] - shifted == timedelta(hours=2)).all()
+
+
+def test_leap_day_is_a_day(good_flight, deliver, read):
     content = good_flight.replace(b"20240525", b"20240229").replace(b"2024-05-25", b"2024-02-29")
     content = content.replace(b"2024-05-26", b"2024-03-01")
     intake = read(deliver({"AQX/LX-AAA/acms/LX-AAA_20240229_04.csv": content}))
