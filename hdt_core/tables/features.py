@@ -1,6 +1,6 @@
 """Tables of stage features: features and alerts."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, cast
 
 import dataframely as dy
@@ -8,6 +8,8 @@ import dataframely as dy
 from hdt_core.tables.base import DatedLegTable, Table, column, count, flag, moment, number, operator_key, pack_key, text
 from hdt_core.tables.raw import Signals
 
+Declared = tuple[type[dy.Column], str, str]
+"""Type, unit and meaning of a feature's column."""
 HEALTH = {
     "hx_fouling": ("-", "conductance lost by the heat exchanger"),
     "cc_efficiency_loss": ("-", "efficiency lost by the compressor"),
@@ -109,29 +111,23 @@ def _unit(name: str) -> str:
     return next((unit for end, unit in _UNITS.items() if name.endswith(f"_{end}")), "-")
 
 
-def _col(dtype: type[dy.Column], unit: str, meaning: str) -> dy.Column:
-    """Build a feature's column without limits, for an odd ratio must not stop a night; the catalog checks it."""
-    free: dict[str, Any] = {"allow_inf": True, "allow_nan": True} if dtype is dy.Float64 else {}
-    return column(dtype, meaning, unit, nullable=True, **free)
+def _number(name: str, meaning: str) -> tuple[str, Declared]:
+    return name, (dy.Float64, _unit(name), meaning)
 
 
-def _number(name: str, meaning: str) -> tuple[str, dy.Column]:
-    return name, _col(dy.Float64, _unit(name), meaning)
+def _count(name: str, meaning: str) -> tuple[str, Declared]:
+    return name, (dy.Int32, "-", meaning)
 
 
-def _count(name: str, meaning: str) -> tuple[str, dy.Column]:
-    return name, _col(dy.Int32, "-", meaning)
-
-
-def _columns() -> Iterator[tuple[str, dy.Column]]:
+def _columns() -> Iterator[tuple[str, Declared]]:
     """Yield every feature, family by family, in the order in which they are stored."""
-    yield "flight_index", _col(dy.Int64, "-", "flights of the tail before this one, in order of departure")
+    yield "flight_index", (dy.Int64, "-", "flights of the tail before this one, in order of departure")
     yield from _of_health()
     for template, what in _RESIDUALS.items():
         yield from (_number(template.format(kind), f"{what}: {gap}, mean") for kind, gap in _KINDS.items())
     for name, what in _VIRTUAL.items():
         yield _number(name, what)
-        yield f"{name}_sd", _col(dy.Float64, _unit(name), "standard deviation of it")
+        yield f"{name}_sd", (dy.Float64, _unit(name), "standard deviation of it")
     yield from (_number(f"w_{name}", what) for name, what in _MODEL_CHECKS.items())
     yield from _of_sensors()
     yield from _of_cross_checks()
@@ -139,26 +135,26 @@ def _columns() -> Iterator[tuple[str, dy.Column]]:
     yield from _of_life()
 
 
-def _of_health() -> Iterator[tuple[str, dy.Column]]:
+def _of_health() -> Iterator[tuple[str, Declared]]:
     for name, (unit, what) in HEALTH.items():
-        yield name, _col(dy.Float64, unit, f"{what}, after this flight")
-        yield f"{name}_sd", _col(dy.Float64, unit, "standard deviation of it")
-        yield f"{name}_status", _col(dy.String, "", "how that estimate ended")
+        yield name, (dy.Float64, unit, f"{what}, after this flight")
+        yield f"{name}_sd", (dy.Float64, unit, "standard deviation of it")
+        yield f"{name}_status", (dy.String, "", "how that estimate ended")
 
 
-def _of_sensors() -> Iterator[tuple[str, dy.Column]]:
-    yield "running", _col(dy.Bool, "", "the pack was on")
+def _of_sensors() -> Iterator[tuple[str, Declared]]:
+    yield "running", (dy.Bool, "", "the pack was on")
     yield _count("n_snapshots", "samples of the flight")
     for signal in Signals.columns():
-        yield f"{signal}_lost_share", _col(dy.Float64, "-", f"share of the flight without a value of {signal}")
+        yield f"{signal}_lost_share", (dy.Float64, "-", f"share of the flight without a value of {signal}")
     for signal in Signals.columns():
-        yield f"{signal}_still", _col(dy.Bool, "", f"{signal} had one value all flight")
+        yield f"{signal}_still", (dy.Bool, "", f"{signal} had one value all flight")
 
 
-def _of_cross_checks() -> Iterator[tuple[str, dy.Column]]:
+def _of_cross_checks() -> Iterator[tuple[str, Declared]]:
     for name, what in _DOOR.items():
         yield _count(name, what) if name.endswith("_n") else _number(name, what)
-    yield "flight_hours", _col(dy.Float64, "h", "from the first to the last sample")
+    yield "flight_hours", (dy.Float64, "h", "from the first to the last sample")
     yield from (_number(f"w_{name}", f"{what}, median in cruise") for name, what in _LEVEL.items())
     yield from (_count(f"w_{name}_n", "samples behind it") for name in _LEVEL)
     yield from (_number(name, f"{what}, median in cruise") for name, what in _SETTING.items())
@@ -171,7 +167,7 @@ def _of_cross_checks() -> Iterator[tuple[str, dy.Column]]:
     yield _number("hx_out_target_sd_k", "scatter of the outlet about its target")
 
 
-def _of_margin() -> Iterator[tuple[str, dy.Column]]:
+def _of_margin() -> Iterator[tuple[str, Declared]]:
     for name, what in EXCHANGER_MARGIN.items():
         yield _number(name, what)
     for ahead in (100, 300):
@@ -179,40 +175,49 @@ def _of_margin() -> Iterator[tuple[str, dy.Column]]:
             f"chance of the exchanger's message within {ahead} flights, by physics alone: no fleet's messages are in it"
         )
         yield _number(f"hx_passage_{ahead}", what)
-    yield "hx_margin_status", _col(dy.String, "", "ok, level_of_pack (the flight does not show its own) or not_known")
+    yield "hx_margin_status", (dy.String, "", "ok, level_of_pack (the flight does not show its own) or not_known")
     yield from (_number(name, what) for name, what in COMPRESSOR_MARGIN.items())
     reach = "ok, at_least (as far as the diffuser's map or the speeds on record reach) or not_known"
-    yield "cc_flow_margin_status", _col(dy.String, "", reach)
-    yield "cc_flow_margin_hot_high_status", _col(dy.String, "", reach)
+    yield "cc_flow_margin_status", (dy.String, "", reach)
+    yield "cc_flow_margin_hot_high_status", (dy.String, "", reach)
 
 
-def _of_life() -> Iterator[tuple[str, dy.Column]]:
-    yield "flights_since_replacement", _col(dy.Int64, "-", "flights of this exchanger; null before the first logged")
-    yield "flights_seen_of_unit", _col(dy.Int64, "-", "flights of this exchanger on record")
+def _of_life() -> Iterator[tuple[str, Declared]]:
+    yield "flights_since_replacement", (dy.Int64, "-", "flights of this exchanger; null before the first logged")
+    yield "flights_seen_of_unit", (dy.Int64, "-", "flights of this exchanger on record")
     for name, (unit, _) in HEALTH.items():
         per_flight = f"{unit}/flight" if unit != "-" else "1/flight"
         for n in (10, 30, 100):
             meaning = f"slope of {name} over the unit's last {n} flights"
-            yield f"{name}_slope_{n}_per_flight", _col(dy.Float64, per_flight, meaning)
+            yield f"{name}_slope_{n}_per_flight", (dy.Float64, per_flight, meaning)
     yield _number("hx_fouling_jump_10", "hx_fouling less its value ten flights ago")
     step = "median of three flights less that of the twelve before"
     yield _number("hx_fouling_step_3", f"hx_fouling_flight: {step}, wear in between taken out")
     yield _number("ram_flow_loss_step_3", f"ram_flow_loss: {step}")
     for name in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m", "door_median"):
-        yield f"{name}_between_packs", _col(dy.Float64, _unit(name), f"{name} less the other pack's")
+        yield f"{name}_between_packs", (dy.Float64, _unit(name), f"{name} less the other pack's")
     yield _number("hx_out_excess_k", "hx_out_sensor_minus_dsm_k, as the alerts name it")
     yield _number("ram_door_open_cruise", "door_median, as the prognosis names it")
     yield _number("ram_door_margin", "what the ram door has left at its widest, 1 - door_max")
-    yield "usage_hours", _col(dy.Float64, "h", "flight_hours so far")
+    yield "usage_hours", (dy.Float64, "h", "flight_hours so far")
 
 
-_DOC = "Features of a pack after a flight, one column a feature: flight, pack."
-Features = cast("type[Table]", type("Features", (DatedLegTable,), {"__doc__": _DOC, **dict(_columns())}))
+def _table(name: str, doc: str, declared: Iterable[tuple[str, Declared]]) -> type[Table]:
+    """Build a table of features without limits, for an odd ratio must not stop a night; the catalog checks it."""
+    free: dict[str, Any] = {"allow_inf": True, "allow_nan": True}
+    columns = {
+        feature: column(dtype, meaning, unit, nullable=True, **(free if dtype is dy.Float64 else {}))
+        for feature, (dtype, unit, meaning) in list(declared)
+    }
+    return cast("type[Table]", type(name, (DatedLegTable,), {"__doc__": doc} | columns))
 
 
-_DOC = "Cross checks of a pack in a flight, by its own sensors, door and controllers: flight, pack."
-_CHECKS = {**dict(_of_sensors()), **dict(_of_cross_checks())}
-FeaturesCrossChecks = cast("type[Table]", type("FeaturesCrossChecks", (DatedLegTable,), {"__doc__": _DOC} | _CHECKS))
+Features = _table("Features", "Features of a pack after a flight, one column a feature: flight, pack.", _columns())
+FeaturesCrossChecks = _table(
+    "FeaturesCrossChecks",
+    "Cross checks of a pack in a flight, by its own sensors, door and controllers: flight, pack.",
+    (*_of_sensors(), *_of_cross_checks()),
+)
 
 
 class _Margin(DatedLegTable):
