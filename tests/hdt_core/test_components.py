@@ -19,9 +19,16 @@ from hdt_core.robust import huber_weights, median_error, spread, spread_expr
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_pack_has_its_two_and_recorders_two_more():
+def test_the_packs_components_have_versions_that_follow_all_they_say():
     codes = {"HX": "21-52-HXTEMP", "CC": "21-51-CCFLOW", "HXT": None, "CAC": None}
     assert {c: k.message_code for c, k in components().items()} == codes
+    assert replace(CC).version == CC.version
+    assert replace(CC, warn_loss=0.06).version != CC.version
+    model = replace(CC.model, outputs=(*CC.model.outputs[:2], Signal("cc_out_k", "K", sigma=0.8)))
+    assert replace(CC, model=model).version != CC.version
+    script = "from hdt_core.components import components; print(components()['HX'].version)"
+    other = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert other.stdout.strip() == HX.version
 
 
 @pytest.mark.parametrize(
@@ -37,9 +44,8 @@ def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code,
     install(tmp_path, module, code, f"mine = {module}:X")
     env = os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"}
     command = [str(Path(sys.executable).parent / "hdt"), "nightly", "--landing", str(ROOT / "data_samples")]
-    done = subprocess.run(
-        [*command, "--home", str(tmp_path / "h")], env=env, capture_output=True, text=True, check=False
-    )
+    command += ["--home", str(tmp_path / "h")]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert message in done.stderr.replace("\n", " ")
@@ -60,16 +66,6 @@ def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code,
 def test_a_declaration_that_contradicts_itself_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         replace(HX, **change)
-
-
-def test_its_version_follows_all_that_it_says_and_nothing_else():
-    assert replace(CC).version == CC.version
-    assert replace(CC, warn_loss=0.06).version != CC.version
-    model = replace(CC.model, outputs=(*CC.model.outputs[:2], Signal("cc_out_k", "K", sigma=0.8)))
-    assert replace(CC, model=model).version != CC.version
-    script = "from hdt_core.components import components; print(components()['HX'].version)"
-    other = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert other.stdout.strip() == HX.version
 
 
 NORMAL = np.random.default_rng(5).normal(0.0, 2.0, 200_000)

@@ -26,11 +26,8 @@ def recipes(page: str) -> list[tuple[str, str]]:
 def answer(con: duckdb.DuckDBPyConnection, sql: str) -> str:
     """The answer to a query as a table of the page."""
     result = con.sql(sql)
-    lines = [
-        result.columns,
-        ["---"] * len(result.columns),
-        *([_format_cell(v) for v in row] for row in result.fetchall()),
-    ]
+    rows = ([_format_cell(v) for v in row] for row in result.fetchall())
+    lines = [result.columns, ["---"] * len(result.columns), *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 

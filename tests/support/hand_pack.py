@@ -25,9 +25,8 @@ DSM = Dsm(
 )  # fmt: skip
 """A model that knows one pack's sensors, and no law of its hot inlet."""
 OUTLET = ControlSchedule((230.0, 250.0, 300.0), {"": (-10.0, -10.0, 20.0)}, {"": 0.0}, {"": 301.0, "T-00/1": 302.0})
-DELIVERY = ControlSchedule(
-    (5000.0, 15_000.0), {"": (0.06, -0.04)}, {"": 0.17}, {"": np.log(86e3), "T-00/1": np.log(87e3)}
-)
+LEVELS = {"": np.log(86e3), "T-00/1": np.log(87e3)}
+DELIVERY = ControlSchedule((5000.0, 15_000.0), {"": (0.06, -0.04)}, {"": 0.17}, LEVELS)
 LAWS = ControlSchedules(OUTLET, DELIVERY, SpeedLimit(4500.0, at_limit=True))
 """Outlet up by .6 K a kelvin from 250 K on, delivery down by 1e-5 a metre from 11 km, .17 of the flow squared."""
 ROWS = [

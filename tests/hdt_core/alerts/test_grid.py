@@ -48,14 +48,11 @@ def test_a_prediction_that_drifts_past_the_limit_raises_nothing(observed, otherw
     assert alerts(drift, NO_WORK)["diagnosis"].to_list() == []
 
 
-def test_wear_that_some_flights_show_is_told_though_others_say_nothing():
+def test_wear_that_some_flights_show_is_told_but_not_of_the_next_unit():
     worn = features(np.where(np.arange(N) < 10, 0.0, 0.3)).with_columns(
         status(np.arange(N) % 2 == 0).alias("hx_fouling_status"), hx_fouling_step_3=pl.lit(0.0)
     )
     assert alerts(worn, NO_WORK)["diagnosis"].to_list() == ["HX_FOULING"]
-
-
-def test_what_was_seen_of_the_last_unit_says_nothing_of_the_next():
     observed = np.arange(N) < 20
     worn = features(np.full(N, 0.3)).with_columns(
         status(observed).alias("hx_fouling_status"),

@@ -63,15 +63,11 @@ def test_it_ends_with_the_unit():
     done = flights["departed_at"][25].date()
     log = pl.DataFrame(
         {
-            "operator": ["XXX"],
-            "tail": ["LX-T01"],
-            "pack": [1],
-            "done_on": [done],
-            "component": ["HX"],
+            "operator": ["XXX"], "tail": ["LX-T01"], "pack": [1], "done_on": [done], "component": ["HX"],
             "action": ["REPLACED"],
         },
         schema=LOG.schema,
-    )
+    )  # fmt: skip
     cases = raise_alerts(flights, log).filter(diagnosis="HX_LOW_MARGIN").sort("raised_at")
     assert cases["closed_at"][0] is not None
     assert cases["closed_at"][0].date() > done
@@ -102,7 +98,7 @@ def test_a_loss_beyond_its_warning_with_probability_7_of_10(odds, raised):
     assert cases["component"].to_list() == [UNIT.code] * raised
 
 
-def test_three_flights_of_four_held_for_fifteen_above_three_quarters():
+def test_three_flights_of_four_are_held_for_fifteen_until_work_ends_it():
     for after, closed in ((0.749, 54), (0.75, 54), (0.751, None)):
         cases = alerts(np.where(FLIGHT < 40, 2.0 * WARN, after * WARN))
         assert cases["closed_at"].to_list() == [departure(closed) if closed else None]
@@ -110,9 +106,6 @@ def test_three_flights_of_four_held_for_fifteen_above_three_quarters():
     assert alerts(gap)["raised_flight_id"].to_list() == ["F033"]
     assert alerts(np.where(np.isin(FLIGHT, (30, 32, 34)), 2.0 * WARN, 0.0)).height == 0
     assert "since F030" in alerts(gap)["evidence"][0]
-
-
-def test_work_ends_it_and_no_rows_raise_nothing():
     cases = alerts(2.0 * WARN, work_before(50, UNIT.code, UNIT.ended_by[0]))
     assert cases["closed_at"].to_list() == [departure(50), None]
     assert cases["raised_flight_id"].to_list() == ["F002", "F052"]
@@ -147,12 +140,8 @@ def test_features_of_one_component_under_one_name():
     )  # fmt: skip
     other = long.with_columns(component=pl.lit("HX"), value=pl.lit(9.0))
     schema = {
-        "operator": pl.String,
-        "tail": pl.String,
-        "flight_id": pl.String,
-        "pack": pl.Int32,
-        "component": pl.String,
-    }
+        "operator": pl.String, "tail": pl.String, "flight_id": pl.String, "pack": pl.Int32, "component": pl.String,
+    }  # fmt: skip
     none = pl.DataFrame(schema=schema | {"signal": pl.String, "kind": pl.String, "mean": pl.Float64})
     rows = component_features(pl.concat([long, other]), none, long, NOTHING, UNIT)
     assert rows["loss"].to_list() == pytest.approx((0.001 * FLIGHT).tolist())

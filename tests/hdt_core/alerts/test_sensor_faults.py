@@ -145,10 +145,8 @@ def one_each(*cases: Case) -> list[tuple[int, str, int, int | None]]:
     grid = both({"running": True}, running=True)
     z = np.zeros((2, FLIGHTS, 15))
     evidence = Indications(grid, Shift(z > 0, z, z, z, z), np.zeros((2, FLIGHTS)), grid.partner())
-    return [
-        (c.unit, c.facts["sensor"], c.raised_flight, c.closed_flight)
-        for c in disturbances._merge_cases(list(cases), evidence)
-    ]
+    merged = disturbances._merge_cases(list(cases), evidence)
+    return [(c.unit, c.facts["sensor"], c.raised_flight, c.closed_flight) for c in merged]
 
 
 def test_of_two_names_within_twelve_flights_the_surer_stands_and_the_same_one_carries_its_case_on() -> None:
@@ -245,11 +243,8 @@ def test_a_jam_stays_where_it_is_away_from_its_stops(changed, jammed):
 
 @pytest.mark.parametrize(("above_k", "jammed"), [(6.1, True), (5.9, False)])
 def test_near_its_stop_a_door_is_jammed_where_the_outlet_runs_warmer_than_usual(above_k, jammed):
-    resting = {
-        "door_max": 0.12,
-        "door_span": 0.02,
-        "w_hx_out_minus_target_k": np.where(FLIGHT < 30, 1.0, 1.0 + above_k),
-    }
+    above = np.where(FLIGHT < 30, 1.0, 1.0 + above_k)
+    resting = {"door_max": 0.12, "door_span": 0.02, "w_hx_out_minus_target_k": above}
     cases = door_spans(JAM | resting)
     assert cases[:1] == ([(31, 53)] if jammed else [])  # with twenty of the last forty it is usual
 
@@ -294,15 +289,12 @@ def test_beyond_doubt_one_flight_is_enough(excess_k, n, first):
     assert [case[0] for case in door_spans(PEG | hits)] == [first]
 
 
-def test_a_door_that_goes_wider_or_is_repaired_has_no_stop():
+def test_a_door_that_goes_wider_has_no_stop_and_a_case_says_where_since_when_and_by_how_much():
     for wider, end in ((0.459, None), (0.461, 60)):
         assert door_spans(PEG | {"door_max": np.where(FLIGHT < 60, 0.4, wider)}) == [(40, end)]
     assert door_spans(PEG, work_before(50, "RAM_DOOR", "ADJUSTED")) == [(40, 50)]
     assert door_spans(PEG, work_before(35, "RAM_DOOR")) == []
     assert door_spans(PEG, work_before(50, "RAM_DOOR", "INSPECTED")) == [(40, None)]
-
-
-def test_a_case_says_where_since_when_and_by_how_much():
     hits = {"door_peg_excess_k": np.where(FLIGHT == 30, 1.5, np.where(FLIGHT == 40, 2.5, 0.0))}
     (case,) = door_cases(grid(**PEG | hits), NOTHING, Limits())
     assert case.facts == pytest.approx({"kind": "lost travel", "since": 30, "stop": 0.4, "excess_k": 2.5})

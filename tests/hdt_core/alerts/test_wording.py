@@ -54,13 +54,19 @@ def test_each_witness_at_its_edge(changed, role, words):
     assert [w.role for w in witnesses if words in w.text] == [role]
 
 
-def test_packs_alike_and_a_pack_alone_have_no_word_on_the_door():
+def test_packs_alike_have_no_word_on_the_door_and_chances_are_in_figures():
     for changed in ({"hx_fouling_between_packs": 0.05}, {"door_median_between_packs": NAN}):
         message = wording.exchanger(WORN | changed, "F").text()
         assert "wider" not in message
         assert "as wide" not in message
     alone = wording.exchanger(WORN | {"hx_fouling_between_packs": NAN, "ram_flow_loss": NAN}, "F").corroborations
     assert len(alone) == 1
+    assert wording.within(0.34, 0.01) == "34 % (32 to 36)"
+    assert wording.within(0.3, 0.02, 1) == "30.0 % (26.7 to 33.3)"
+    assert wording.chance_above(0.16, 0.15, 0.01) == "0.84"
+    assert wording.chance_above(0.2, 0.15, 0.01) == "above 0.99"
+    assert wording.chance_above(0.2, 0.15, 0.0) == "above 0.99"
+    assert np.isclose(float(wording.chance_above(0.1, 0.15, 0.05)), norm.cdf(-1.0), atol=0.005)
 
 
 def test_severities_at_their_edges():
@@ -115,9 +121,8 @@ def test_a_compressor_in_figures():
     assert "it is 3 % too small" in evidence.corroborations[2].text
     for loss, role in ((0.0204, "Neutral"), (-0.0219, "Neutral"), (-0.0221, "Against")):
         assert wording.compressor(facts | {"cc_diameter_loss": loss}, "F").corroborations[0].role == role
-    short = wording.compressor(
-        facts | {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}, "F"
-    ).corroborations
+    left = {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}
+    short = wording.compressor(facts | left, "F").corroborations
     assert (short[1].role, short[2].role) == ("Supports", "Neutral")
     assert "2 % too small" in short[1].text
     assert "1 % may go" in short[2].text
@@ -141,12 +146,3 @@ def test_doors_and_sensors_in_figures():
     assert "Mach number (mach) is empty in 25 % of its readings since F07" in empty
     back = {"kind": "contradicted", "of": "HX", "looked_on": "2024-03-01", "level": 0.2, "loss": 0.24}
     assert "at a loss of 20 %, and the loss has grown to 24 %" in wording.sensor(back, "F07").text()
-
-
-def test_an_interval_and_a_chance():
-    assert wording.within(0.34, 0.01) == "34 % (32 to 36)"
-    assert wording.within(0.3, 0.02, 1) == "30.0 % (26.7 to 33.3)"
-    assert wording.chance_above(0.16, 0.15, 0.01) == "0.84"
-    assert wording.chance_above(0.2, 0.15, 0.01) == "above 0.99"
-    assert wording.chance_above(0.2, 0.15, 0.0) == "above 0.99"
-    assert np.isclose(float(wording.chance_above(0.1, 0.15, 0.05)), norm.cdf(-1.0), atol=0.005)

@@ -83,9 +83,8 @@ def test_later_flights_and_the_order_of_rows_change_nothing(fleet):
     ids = small.samples["flight_id"].unique().sort()
     first = ids[: MILESTONES[2]].implode()
     some = [f.filter(pl.col("flight_id").is_in(first)) for f in (small.samples, small.legs)]
-    more = [
-        f.filter(pl.col("flight_id").is_in(ids[: MILESTONES[2] + 25].implode())) for f in (small.samples, small.legs)
-    ]
+    later = ids[: MILESTONES[2] + 25].implode()
+    more = [f.filter(pl.col("flight_id").is_in(later)) for f in (small.samples, small.legs)]
     early, later = (calibrate(*part, small.maintenance) for part in (some, more))
     assert later == early
     small = fleet.only("T-01")
@@ -96,11 +95,21 @@ def test_later_flights_and_the_order_of_rows_change_nothing(fleet):
     assert calibrate(warmer, small.legs, small.maintenance).dsm_version != here.dsm_version
 
 
-def test_baseline_grows_by_milestones_and_ends():
+def test_a_baseline_grows_by_milestones_with_levels_by_operator_and_pack():
     flights = pl.DataFrame({"flight_id": [f"F{k:04d}" for k in range(400)], "departed_at": range(400)})
     named = flights.with_columns(operator=pl.lit("A"), tail=pl.lit("T"))
     lengths = [len(baseline_flights(named.head(n))) for n in (3, 12, 25, 79, 80, 159, 160, 400)]
     assert lengths == [3, 10, 20, 40, 80, 80, 160, 160]
+    levels = (PooledLevel("TST", None, None, "hx_ua_reference_w_k", 1800.0, 100.0, 20),
+              PooledLevel("TST", "A", 1, "hx_ua_reference_w_k", 1700.0, 170.0, 10))  # fmt: skip
+    dsm = replace(with_bias(("A", 1), hx_out_k=0.7), levels=levels)
+    fleet, own = row("hx_ua_reference_w_k", dsm, scope="operator"), row("hx_ua_reference_w_k", dsm, scope="tail")
+    assert (fleet["component"], fleet["value"], fleet["tail"], fleet["identifiable"]) == ("HX", 1800.0, None, True)
+    # a tenth itself does not identify
+    assert (own["value"], own["sd"], own["pack"], own["identifiable"], own["n_flights"]) == (1700, 170, 1, False, 10)
+    biases = design_parameters(dsm).filter(scope="tail", tail="A").filter(parameter="bias_hx_out_k").row(0, named=True)
+    assert (biases["value"], biases["sd"], biases["unit"], biases["n_flights"]) == (0.7, 1.0, "K", 10)
+    assert row("bias_pack_flow_kg_s", dsm)["unit"] == row("bias_ram_door_open", dsm)["unit"] == "-"
 
 
 def test_tail_of_ten_flights_borrows_from_its_fleet(fleet):
@@ -200,9 +209,8 @@ def test_elasticity_is_an_exponent_times_its_films_share():
 
 
 def test_the_compressor_as_built_is_identified_within_a_tenth():
-    rows = {
-        r["parameter"]: r for r in design_parameters(DSM).filter(component="CC", scope="fleet").iter_rows(named=True)
-    }
+    own = design_parameters(DSM).filter(component="CC", scope="fleet")
+    rows = {r["parameter"]: r for r in own.iter_rows(named=True)}
     want = {"cc_diameter_vda_intercept": (0.18, 0.002, "m"), "cc_diameter_vda_slope": (-2e-5, 1e-6, "m/count"),
             "cc_diameter_vda_scatter_m": (0.004, None, "m"), "cc_diameter_vda_mae_m": (0.003, None, "m"),
             "cc_diameter_vda_r_squared": (0.5, None, "-"), "cc_area_diameter_tan_beta_m3": (8e-4, 2e-5, "m3"),
@@ -211,37 +219,20 @@ def test_the_compressor_as_built_is_identified_within_a_tenth():
     identifiable = {n: rows[n]["identifiable"] for n in rows}
     assert not identifiable.pop("cc_flow_group_m3_per_count")
     assert {n for n, v in identifiable.items() if not v} == {
-        "cc_inlet_area_m2",
-        "cc_eye_diameter_m",
-        "cc_blade_angle_rad",
-    }
+        "cc_inlet_area_m2", "cc_eye_diameter_m", "cc_blade_angle_rad",
+    }  # fmt: skip
     assert rows["cc_blade_angle_rad"]["unit"] == (
         "rad, given a blade angle of 36 ± 3 degrees and a hub of 0.4 eye diameters"
     )
-    edge = replace(
-        DSM, compressor=replace(DSM.compressor, slope_sd_m_per_count=2.01e-6, efficiency=0.5, efficiency_sd=0.05)
-    )
+    odd = {"slope_sd_m_per_count": 2.01e-6, "efficiency": 0.5, "efficiency_sd": 0.05}
+    edge = replace(DSM, compressor=replace(DSM.compressor, **odd))
     assert not row("cc_diameter_vda_slope", edge)["identifiable"]
     assert not row("cc_efficiency", edge)["identifiable"]  # a tenth itself
 
 
-def test_levels_and_biases_by_operator_and_pack():
-    levels = (PooledLevel("TST", None, None, "hx_ua_reference_w_k", 1800.0, 100.0, 20),
-              PooledLevel("TST", "A", 1, "hx_ua_reference_w_k", 1700.0, 170.0, 10))  # fmt: skip
-    dsm = replace(with_bias(("A", 1), hx_out_k=0.7), levels=levels)
-    fleet, own = row("hx_ua_reference_w_k", dsm, scope="operator"), row("hx_ua_reference_w_k", dsm, scope="tail")
-    assert (fleet["component"], fleet["value"], fleet["tail"], fleet["identifiable"]) == ("HX", 1800.0, None, True)
-    # a tenth itself does not identify
-    assert (own["value"], own["sd"], own["pack"], own["identifiable"], own["n_flights"]) == (1700, 170, 1, False, 10)
-    biases = design_parameters(dsm).filter(scope="tail", tail="A").filter(parameter="bias_hx_out_k").row(0, named=True)
-    assert (biases["value"], biases["sd"], biases["unit"], biases["n_flights"]) == (0.7, 1.0, "K", 10)
-    assert row("bias_pack_flow_kg_s", dsm)["unit"] == row("bias_ram_door_open", dsm)["unit"] == "-"
-
-
 def audit(ratio: np.ndarray, maintenance: pl.DataFrame | None = None) -> pl.DataFrame:
-    return audit_drift(
-        flights(len(ratio), ln_ua_ratio=list(map(float, ratio))), log() if maintenance is None else maintenance, DSM
-    )
+    rows = flights(len(ratio), ln_ua_ratio=list(map(float, ratio)))
+    return audit_drift(rows, log() if maintenance is None else maintenance, DSM)
 
 
 def test_a_straight_line_is_its_slope_and_units_are_audited_apart():

@@ -31,7 +31,7 @@ def small():
     return fleet_with_truth(1, 12, seed=5)
 
 
-def test_without_flights_the_priors_stand(small):
+def test_without_flights_the_priors_stand_and_without_a_law_the_inlet_as_recorded(small):
     """The level of clean units to 5 %, theirs to 5.5, a flight to 2 %; the law's reference flows and conductance."""
     draft = _draft_model(small.samples.clear(), small.legs.clear(), {})
     assert (draft.clean_level, draft.clean_level_sd, draft.offset_sd, draft.flight_sd) == (0.0, 0.05, 0.055, 0.02)
@@ -41,6 +41,12 @@ def test_without_flights_the_priors_stand(small):
     whole = calibrate(small.samples.clear(), small.legs.clear(), small.maintenance)
     assert (whole.n_flights, whole.levels, whole.terms, whole.ram_balance_seen) == (0, (), {}, False)
     assert _clean_units(np.zeros(0), np.zeros(0), np.zeros(0, bool)) == (0.0, 0.05, pytest.approx(0.05))
+    rows = small.samples.head(3).with_columns(cc_out_k=pl.Series([450.0, 450.0, None]))
+    bias, pack_out_k = np.zeros((6, 3)), np.full(3, 296.0)
+    np.testing.assert_array_equal(full_open_inlet_k(rows, (), DSM.design, bias, pack_out_k), rows["hx_in_k"])
+    full_open = full_open_inlet_k(rows, (0.6, 0.3, 0.0, 0.0, 0.0, 0.0), DSM.design, bias, pack_out_k)
+    assert full_open[2] == rows["hx_in_k"][2]
+    assert (full_open[:2] != rows["hx_in_k"][:2].to_numpy()).all()
 
 
 def test_a_draft_is_anchored_where_its_points_lie(small):
@@ -52,10 +58,8 @@ def test_a_draft_is_anchored_where_its_points_lie(small):
     assert hot == pytest.approx(np.median(points["pack_flow_kg_s"]), rel=0.02)
     assert ram == pytest.approx(np.median(clean_ram_flow_kg_s(points, design)), rel=0.02)
     bias = draft.bias_of(own)
-    slope = [
-        (hx.ln_conductance_ratio(points, design + e, bias) - hx.ln_conductance_ratio(points, design - e, bias)) / 2e-5
-        for e in 1e-5 * np.eye(len(design))
-    ]
+    both = [(design + e, design - e) for e in 1e-5 * np.eye(len(design))]
+    slope = [np.subtract(*(hx.ln_conductance_ratio(points, d, bias) for d in pair)) / 2e-5 for pair in both]
     np.testing.assert_allclose(draft.gradient, np.nanmean(slope, axis=1), rtol=0.05, atol=0.02)
     assert _middle_flows([], design) == (0.9, 1.6)
 
@@ -88,14 +92,11 @@ def test_levels_of_packs_are_their_first_ten_flights_cleared_of_wear():
     assert exchanger_levels(rows[0].clear(), DSM) == ()
 
 
-def test_instruments_are_logarithms_about_a_middling_cruise():
+def test_instruments_are_logarithms_flights_count_by_departure_and_versions_by_nine_digits():
     """Temperature, pressure, hot inlet, Mach number and flow; squares and product of the first two."""
     at = dict(tat_k=255.0, total_pressure_pa=3e4, hx_in_k=400.0, mach=0.83, pack_flow_kg_s=0.8)  # noqa: C408
     signals = {n: np.array([v * np.exp(0.1 * k), np.nan]) for k, (n, v) in enumerate(at.items(), 1)}
     np.testing.assert_allclose(instruments_of(signals), [[0.1, 0.2, 0.3, 0.4, 0.5, 0.01, 0.04, 0.02], [0.0] * 8])
-
-
-def test_a_tail_counts_its_flights_by_departure_whatever_its_packs():
     rows = pl.concat([flights(3), flights(3, pack=2)]).rename({"departed_at": "time_utc"})
     late = rows.with_columns(time_utc=pl.when(pl.col("flight_id") == "T-1_000").then(pl.col("time_utc").max())
                              .otherwise("time_utc"))  # fmt: skip
@@ -106,9 +107,6 @@ def test_a_tail_counts_its_flights_by_departure_whatever_its_packs():
     logged = late.with_columns(departed_at=pl.lit(late["time_utc"].min()))
     assert set(flights_of(logged)["departed_at"]) == {late["time_utc"].min()}
     assert correct_inputs(late, {}) is late
-
-
-def test_a_version_is_of_nine_digits_of_every_value():
     frame = pl.DataFrame({"a": [1.0, 2.0], "b": ["x", "y"]})
     assert version_of(frame) == version_of(frame.with_columns(pl.col("a") + 1e-12))
     assert len({version_of(f) for f in (frame, frame.with_columns(pl.col("a") + 1e-9), frame.rename({"a": "c"}),
@@ -196,9 +194,8 @@ def test_exit_pressures_of_four_packs_speak_and_no_probe_takes_more_than_four_fi
     columns = np.column_stack([height**k for k in range(4)] + [np.log(flow)])
     left = out - columns @ np.linalg.lstsq(columns, out)[0]
     offsets = np.array([np.median(left[pack == p]) for p in range(packs)])
-    corrections = probe_corrections(frame, frame.select("operator", "tail", "pack").unique().sort("tail"))[
-        "exit_bias_ln"
-    ]
+    packs = frame.select("operator", "tail", "pack").unique().sort("tail")
+    corrections = probe_corrections(frame, packs)["exit_bias_ln"]
     share = 0.004**2 / (np.sum((offsets - offsets.mean()) ** 2) / 3.0) if share is None else share
     assert share < 0.81
     np.testing.assert_allclose(corrections, share * (offsets - np.median(offsets)), atol=1e-9)
@@ -220,15 +217,6 @@ def test_a_difference_of_an_inlet_is_shared_by_the_sensors_declared_errors():
     middle = 0.5 * (ratio[0] + ratio[1])  # NaN is above all
     np.testing.assert_allclose(corrections["inlet_bias_ln"], [*((ratio - middle) * 9.0 / 13.0), 0.0, 0.0])
     assert corrections["exit_bias_ln"].to_list() == [0.0] * 5
-
-
-def test_an_inlet_without_a_law_or_a_reading_is_as_recorded(small):
-    rows = small.samples.head(3).with_columns(cc_out_k=pl.Series([450.0, 450.0, None]))
-    bias, pack_out_k = np.zeros((6, 3)), np.full(3, 296.0)
-    np.testing.assert_array_equal(full_open_inlet_k(rows, (), DSM.design, bias, pack_out_k), rows["hx_in_k"])
-    full_open = full_open_inlet_k(rows, (0.6, 0.3, 0.0, 0.0, 0.0, 0.0), DSM.design, bias, pack_out_k)
-    assert full_open[2] == rows["hx_in_k"][2]
-    assert (full_open[:2] != rows["hx_in_k"][:2].to_numpy()).all()
 
 
 # value, sd, BIC's gain, held-out change

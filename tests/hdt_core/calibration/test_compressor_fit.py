@@ -66,9 +66,8 @@ def test_what_the_diffuser_adds_to_the_flow_is_recovered(fit, fleet, fleets):
     group = group_at_m3(fleet.samples["vda_counts"].to_numpy(), fleets.GROUP_M3, 450.0, slope)
     flow = inlet_flow_kg_s(group, *inlet) * (1.0 + 0.02 * rng.standard_normal(group.size))
     noise = pl.Series(5.0 * rng.standard_normal(group.size))
-    refit = fit_compressor(
-        compressor_rows(fleet.samples.with_columns(pl.col("vda_counts") + noise, cc_flow_kg_s=pl.Series(flow)))
-    )
+    noisy = fleet.samples.with_columns(pl.col("vda_counts") + noise, cc_flow_kg_s=pl.Series(flow))
+    refit = fit_compressor(compressor_rows(noisy))
     sd = refit.group_slope_sd_m3_per_count
     assert abs(refit.group_slope_m3_per_count - slope) < 3.0 * sd < 0.1 * slope
     assert abs(fit.group_slope_m3_per_count) < 0.003 * slope  # a group that the diffuser does not move
@@ -109,9 +108,8 @@ def test_few_or_no_points_leave_the_papers_line_and_the_prior(fleet):
     assert few.intercept_m == 0.1731
     assert few.intercept_sd_m >= 0.01
     inlet = inlet_geometry(9.1e-4, 1e-6)
-    (area, area_sd), (eye, _), angle = (
-        inlet[n] for n in ("cc_inlet_area_m2", "cc_eye_diameter_m", "cc_blade_angle_rad")
-    )
+    names = ("cc_inlet_area_m2", "cc_eye_diameter_m", "cc_blade_angle_rad")
+    (area, area_sd), (eye, _), angle = (inlet[n] for n in names)
     assert area * eye * np.tan(angle[0]) == pytest.approx(9.1e-4, rel=1e-12)
     assert area == pytest.approx(0.25 * np.pi * eye**2 * (1.0 - HUB_RATIO**2), rel=1e-12)
     assert angle[0] == BLADE_ANGLE_RAD
@@ -175,12 +173,8 @@ def test_a_slow_loss_put_upon_the_records_is_health_and_not_design(fleet, rate):
 def test_more_flights_leave_less_in_doubt_and_without_points_the_prior_stands(fleet):
     points = points_of(fleet.samples)
     early = points.flight < 20
-    few = Points(
-        {n: v[early] for n, v in points.signals.items()},
-        points.pack[early],
-        points.flight[early],
-        points.n_samples[early],
-    )
+    signals = {n: v[early] for n, v in points.signals.items()}
+    few = Points(signals, points.pack[early], points.flight[early], points.n_samples[early])
     small, large = (fitted(p, 10).belief.cov for p in (few, points))
     # the volume of doubt over twelve parameters
     assert np.linalg.slogdet(large)[1] < np.linalg.slogdet(small)[1] - 1.0

@@ -22,7 +22,7 @@ def machine_rows(n_flights: int, per_flight: int = 4, *, scatter: float = 0.0, b
     return BlockRows(x, y, block, flight, blocks)
 
 
-def test_the_line_of_machines_of_two_sizes():
+def test_the_line_of_machines_of_two_sizes_learns_nothing_beyond_hubers_bend():
     """Its slope is that of the mean level, raised by what a noise of 5 counts takes from it."""
     rows = machine_rows(40)
     line = fit_line(rows)
@@ -33,6 +33,15 @@ def test_the_line_of_machines_of_two_sizes():
     np.testing.assert_allclose(line.level, np.array([0.16, 0.20]) * (1.0 - 1e-4 * (centre - 400.0)), rtol=1e-6)
     assert line.slope == pytest.approx(-1e-4 * 0.18 / reliable, rel=1e-6)
     np.testing.assert_allclose(line.residual, 0.0, atol=1e-9)
+    # Scores 1 x 2 x 1 + 0.95 x 3 x 2 of one flight and 0.5 x 1 x 4 of another, over 2 squared of the one inside.
+    values = np.array([2.0, 3.0, 1.0]), np.array([1.0, 2.0, 4.0]), np.array([0, 0, 1]), np.array([1.0, 0.95, 0.5])
+    assert _clustered_sd(*values) == pytest.approx(np.hypot(2.0 + 5.7, 2.0) / 4.0)
+    # Positions that spread by less than twice their noise: the slope is doubled, no more.
+    calm = BlockRows(400.0 + (rows.x - 400.0) / 20.0, rows.y, rows.block, rows.flight, rows.blocks)
+    plain = fit_line(rows)
+    inside = rows.x - np.array([rows.x[rows.block == b].mean() for b in (0, 1)])[rows.block]
+    raised = 1.0 - 25.0 / np.mean(inside**2)
+    assert fit_line(calm).slope == pytest.approx(plain.slope * raised * 20.0 / 0.5, rel=1e-6)
 
 
 def test_the_slopes_error_lets_samples_of_a_flight_err_together():
@@ -57,12 +66,6 @@ def test_the_slopes_error_lets_samples_of_a_flight_err_together():
     assert robust.slope == pytest.approx(line.slope, abs=3.0 * line.slope_sd)
 
 
-def test_a_sample_beyond_hubers_bend_adds_nothing_to_what_is_learned():
-    """Scores 1 x 2 x 1 + 0.95 x 3 x 2 of one flight and 0.5 x 1 x 4 of another, over 2 squared of the one inside."""
-    values = np.array([2.0, 3.0, 1.0]), np.array([1.0, 2.0, 4.0]), np.array([0, 0, 1]), np.array([1.0, 0.95, 0.5])
-    assert _clustered_sd(*values) == pytest.approx(np.hypot(2.0 + 5.7, 2.0) / 4.0)
-
-
 def frame(x: list[float], flights: list[int], y: float = 0.17, tail: str = "A") -> pl.DataFrame:
     return pl.DataFrame({
         "operator": "O", "tail": tail, "pack": 1, "time_utc": pl.Series(range(len(x))),
@@ -82,16 +85,6 @@ def test_blocks_are_twenty_flights_and_spikes_of_the_position_are_left_out():
     assert np.bincount(rows.block).tolist() == [20, 20, 2]
     assert rows.flight.tolist() == list(range(42))
     assert rows.blocks["turn"].to_list() == [0, 1, 2]
-
-
-def test_half_of_a_slope_is_what_noise_may_take():
-    """Positions that spread by less than twice their noise: the slope is doubled, no more."""
-    rows = machine_rows(40)
-    calm = BlockRows(400.0 + (rows.x - 400.0) / 20.0, rows.y, rows.block, rows.flight, rows.blocks)
-    plain = fit_line(rows)
-    inside = rows.x - np.array([rows.x[rows.block == b].mean() for b in (0, 1)])[rows.block]
-    raised = 1.0 - 25.0 / np.mean(inside**2)
-    assert fit_line(calm).slope == pytest.approx(plain.slope * raised * 20.0 / 0.5, rel=1e-6)
 
 
 def test_an_as_built_line_is_that_of_machines_as_seen_raised():
@@ -127,9 +120,8 @@ def test_forms_are_compared_on_flights_left_out():
     assert constant.r_squared == 0.0
     level = np.where(bent.block == 0, 0.16, 0.20)
     for form, degree in ((constant, 0), (linear, 1), (quadratic, 2)):
-        basis = np.stack(
-            [(bent.block == b).astype(float) for b in (0, 1)] + [(bent.x / 100.0) ** k for k in range(1, degree + 1)], 1
-        )
+        levels = [(bent.block == b).astype(float) for b in (0, 1)]
+        basis = np.stack(levels + [(bent.x / 100.0) ** k for k in range(1, degree + 1)], 1)
         rest = bent.y - basis @ np.linalg.lstsq(basis, bent.y, rcond=None)[0]
         about = bent.y - np.array([bent.y[bent.block == b].mean() for b in (0, 1)])[bent.block]
         assert form.r_squared == pytest.approx(1.0 - (rest**2).sum() / (about**2).sum(), abs=1e-9)
@@ -141,9 +133,8 @@ def test_forms_are_compared_on_flights_left_out():
         assert form.cv_rmse_m == pytest.approx(np.sqrt((left**2).mean()), rel=1e-6)
         n = bent.y.size
         if degree == 1:
-            assert linear.aic - constant.aic == pytest.approx(
-                n * np.log((rest**2).mean() / (about**2).mean()) + 2.0, abs=1e-6
-            )
+            gain = n * np.log((rest**2).mean() / (about**2).mean())
+            assert linear.aic - constant.aic == pytest.approx(gain + 2.0, abs=1e-6)
             assert form.r_squared_low < form.r_squared < form.r_squared_high < form.r_squared + 0.2
     assert level.mean() == pytest.approx(0.18)
     assert compare_forms(machine_rows(4)) == ()
@@ -162,7 +153,7 @@ def as_built_by_hand(levels: np.ndarray, wear: float) -> tuple[float, float]:
     return np.exp(middle), np.exp(middle) * np.sqrt(np.average((level - middle) ** 2, weights=chance))
 
 
-def test_machines_as_built_lie_above_machines_as_seen():
+def test_machines_as_built_lie_above_machines_as_seen_and_few_points_leave_the_papers_law():
     """By what their spread tells of wear that is exponential: many alike are hardly worn, two tell little."""
     for levels in (np.array([0.16, 0.17, 0.18]), np.array([0.17, 0.17]), np.array([0.17])):
         assert _as_built(levels, 0.003) == pytest.approx(as_built_by_hand(levels, 0.003), rel=1e-5)
@@ -173,6 +164,26 @@ def test_machines_as_built_lie_above_machines_as_seen():
     worn = 0.8 * np.exp(0.02 * rng.standard_normal(300) - rng.exponential(0.04, 300))
     value, sd = _as_built(worn, 0.006)
     assert abs(value - 0.8) < 3.0 * sd < 0.015 < 0.8 - np.median(worn)
+
+    def fit(n: int):
+        return fit_compressor(frame([380.0 + k for k in range(n)], list(range(n))).with_columns(
+            group_m3=pl.lit(None, pl.Float64), efficiency=pl.lit(None, pl.Float64)))  # fmt: skip
+
+    few = fit(29)
+    assert (few.intercept_m, few.slope_m_per_count, few.scatter_m, few.vda_counts) == (
+        0.1731, -2.9304e-5, 0.0055, 400.0,
+    )  # fmt: skip
+    assert (few.group_m3, few.efficiency, few.n_flights) == (7.6e-4, 0.75, 29)
+    assert fit(30).intercept_m != 0.1731
+    # A D tan(beta) of 8e-4 m3 at 36 degrees and a hub of 0.4 eyes.
+    inlet = inlet_geometry(8e-4, 2e-5)
+    eye = (8e-4 / (0.25 * np.pi * 0.84 * np.tan(np.deg2rad(36.0)))) ** (1.0 / 3.0)
+    assert inlet["cc_eye_diameter_m"][0] == pytest.approx(eye)
+    share = np.hypot(2e-5 / 8e-4, np.deg2rad(3.0) / (np.sin(np.deg2rad(36.0)) * np.cos(np.deg2rad(36.0)))) / 3.0
+    assert inlet["cc_eye_diameter_m"][1] == pytest.approx(share * eye)
+    area = 0.25 * np.pi * 0.84 * eye**2
+    assert inlet["cc_inlet_area_m2"] == pytest.approx((area, 2 * share * area))
+    assert inlet["cc_blade_angle_rad"] == (np.deg2rad(36.0), np.deg2rad(3.0))
 
 
 def test_an_efficiency_is_of_the_first_twenty_flights_and_raised_by_wear():
@@ -194,32 +205,3 @@ def test_an_efficiency_is_of_the_first_twenty_flights_and_raised_by_wear():
     first = rows.filter(pl.col("flight_id") == "F000")
     assert _pool(first, "efficiency", "cc_efficiency", 0.02, wear=False)[:2] == pytest.approx(lone[:2])
     assert _pool(rows.clear(), "efficiency", "cc_efficiency", 0.02, wear=True) == (0.75, 0.05, ())
-
-
-def test_the_papers_law_stands_where_there_are_fewer_than_thirty_points():
-    def fit(n: int):
-        return fit_compressor(frame([380.0 + k for k in range(n)], list(range(n))).with_columns(
-            group_m3=pl.lit(None, pl.Float64), efficiency=pl.lit(None, pl.Float64)))  # fmt: skip
-
-    few = fit(29)
-    assert (few.intercept_m, few.slope_m_per_count, few.scatter_m, few.vda_counts) == (
-        0.1731,
-        -2.9304e-5,
-        0.0055,
-        400.0,
-    )
-    assert (few.group_m3, few.efficiency, few.n_flights) == (7.6e-4, 0.75, 29)
-    assert fit(30).intercept_m != 0.1731
-
-
-def test_inlet_of_a_known_group():
-    """A D tan(beta) of 8e-4 m3 at 36 degrees and a hub of 0.4 eyes."""
-    inlet = inlet_geometry(8e-4, 2e-5)
-    eye = (8e-4 / (0.25 * np.pi * 0.84 * np.tan(np.deg2rad(36.0)))) ** (1.0 / 3.0)
-    assert inlet["cc_eye_diameter_m"][0] == pytest.approx(eye)
-    share = np.hypot(2e-5 / 8e-4, np.deg2rad(3.0) / (np.sin(np.deg2rad(36.0)) * np.cos(np.deg2rad(36.0)))) / 3.0
-    assert inlet["cc_eye_diameter_m"][1] == pytest.approx(share * eye)
-    assert inlet["cc_inlet_area_m2"] == pytest.approx(
-        (0.25 * np.pi * 0.84 * eye**2, 2 * share * 0.25 * np.pi * 0.84 * eye**2)
-    )
-    assert inlet["cc_blade_angle_rad"] == (np.deg2rad(36.0), np.deg2rad(3.0))

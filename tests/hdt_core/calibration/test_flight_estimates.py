@@ -190,9 +190,8 @@ def test_a_compressors_sample_stands_on_the_air_of_its_level():
     np.testing.assert_allclose(plain["inlet_k"], result["inlet_k"] + 1.0)
     np.testing.assert_allclose(plain["inlet_pa"], 2.7e4)
     raw = rows["cc_out_pa"].to_numpy()
-    means = np.array(
-        [raw[:3].mean(), raw[:4].mean(), raw[:5].mean(), raw[1:6].mean(), raw[2:6].mean(), raw[3:6].mean()]
-    )
+    spans = ((0, 3), (0, 4), (0, 5), (1, 6), (2, 6), (3, 6))
+    means = np.array([raw[a:b].mean() for a, b in spans])
     out_pa, in_pa, in_k = means * np.exp(-0.02), 2.7e4 * np.exp(-0.01), result["inlet_k"].to_numpy()[:6]
     rise = in_k * ((out_pa / in_pa) ** (0.4 / 1.4) - 1.0)
     np.testing.assert_allclose(result["efficiency"][:6], rise / (400.0 - in_k), rtol=2e-3)
@@ -205,9 +204,8 @@ def test_a_compressors_sample_stands_on_the_air_of_its_level():
     flight = compressor_flights(result.with_columns(vda_counts=pl.lit(400.0))).row(0, named=True)
     d = result["diameter_m"].drop_nulls().to_numpy()
     assert flight["diameter_m"] == pytest.approx(np.median(d))
-    assert flight["diameter_m_se"] == pytest.approx(
-        1.4826 * np.median(np.abs(d - np.median(d))) * 1.2533 / np.sqrt(6.0)
-    )
+    scatter = 1.4826 * np.median(np.abs(d - np.median(d)))
+    assert flight["diameter_m_se"] == pytest.approx(scatter * 1.2533 / np.sqrt(6.0))
     assert flight["cc_n_samples"] == 6
 
 
@@ -270,10 +268,8 @@ def test_no_cruise_is_no_estimate_and_no_ram_outlet_a_larger_doubt(fleet, model,
     blind = fleet_with_truth(5, 120, ram_out=False)
     twin, guess = followed(blind)
     assert twin["ln_ram_ratio"].null_count() == twin.height
-    rows, metered = (
-        track(f, blind.maintenance, m).health.filter(pl.col("parameter") == "hx_fouling")
-        for f, m in ((twin, guess), (flights, model))
-    )
+    tracks = (track(f, blind.maintenance, m).health for f, m in ((twin, guess), (flights, model)))
+    rows, metered = (health.filter(pl.col("parameter") == "hx_fouling") for health in tracks)
     assert rows["sd"].mean() > metered["sd"].mean()
     off = rows.join(blind.truth, on=["tail", "flight_id", "pack"]).with_columns(e=pl.col("value") - pl.col("loss"))
     assert off.select((pl.col("e").abs() < 1.645 * pl.col("sd")).mean()).item() > 0.75

@@ -37,11 +37,8 @@ def test_what_an_inlet_has_above_its_law(cruise):
     bias = np.tile(BIAS, cruise.height)
     above_law = inlet_above_law(cruise, SLOPES, DSM.design, bias).sort("pack", "flight_id")
     above = cruise["hx_in_k"].to_numpy() - terms(cruise, cruise["cc_out_k"].to_numpy()) @ SLOPES
-    want = (
-        cruise.with_columns(a=pl.Series(above))
-        .group_by("pack", "flight_id", maintain_order=True)
-        .agg(pl.col("a").median())
-    )
+    rows = cruise.with_columns(a=pl.Series(above))
+    want = rows.group_by("pack", "flight_id", maintain_order=True).agg(pl.col("a").median())
     np.testing.assert_allclose(above_law["inlet_apart_k"], want["a"])
     stuck = cruise.with_columns(ram_door_open=pl.lit(0.96))
     assert inlet_above_law(stuck, SLOPES, DSM.design, bias).is_empty()
@@ -52,9 +49,8 @@ def test_without_a_discharge_temperature_the_pressure_ratio_tells(cruise):
     bias, one = np.tile(BIAS, cruise.height), cruise["flight_id"] == cruise["flight_id"][0]
     silent = cruise.with_columns(pl.when(~one).then("cc_out_k").alias("cc_out_k"))
     ratio = (silent["cc_out_pa"] / silent["cc_in_pa"]).to_numpy()
-    discharge = np.where(
-        one, silent["tat_k"].to_numpy() * (1.0 + (ratio ** (0.4 / 1.4) - 1.0) / 0.75), cruise["cc_out_k"]
-    )
+    by_ratio = silent["tat_k"].to_numpy() * (1.0 + (ratio ** (0.4 / 1.4) - 1.0) / 0.75)
+    discharge = np.where(one, by_ratio, cruise["cc_out_k"])
     above = cruise["hx_in_k"].to_numpy() - terms(cruise, discharge) @ SLOPES
     above_law = inlet_above_law(silent, SLOPES, DSM.design, bias).sort("pack", "flight_id")["inlet_apart_k"]
     assert above_law[0] == pytest.approx(np.median(above[(one & (cruise["pack"] == 1)).to_numpy()]), rel=2e-3)
@@ -123,9 +119,8 @@ def flown(fleet, model):
     signals = hx.without_bias({n: cruise[n].to_numpy().astype(float) for n in hx.SIGNALS}, bias)
     discharge_k = 470.0 + 0.8 * (signals["tat_k"] - 250.0) + 8.0 * rng.standard_normal(cruise.height)
     inlet_k = behind_first_exchanger(signals, discharge_k, model) + bias[hx.BIASES.index("hx_in_k")]
-    return cruise.with_columns(
-        pl.Series("cc_out_k", discharge_k), pl.Series("hx_in_k", inlet_k + 0.3 * rng.standard_normal(cruise.height))
-    )
+    noisy_k = inlet_k + 0.3 * rng.standard_normal(cruise.height)
+    return cruise.with_columns(pl.Series("cc_out_k", discharge_k), pl.Series("hx_in_k", noisy_k))
 
 
 def behind_first_exchanger(signals, discharge_k, model):

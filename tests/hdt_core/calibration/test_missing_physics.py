@@ -87,10 +87,8 @@ def test_on_an_aircraft_never_seen_the_accepted_term_leaves_noise_alone(plain, n
     assert refitted.terms[name] == pytest.approx(value, rel=0.3)
     noise_model = calibrate(plain.only(*learned).samples, taught.legs, taught.maintenance)
     noise = scatter(estimate_flights(plain.only(other).samples, noise_model))
-    before, after = (
-        scatter(estimate_flights(fleet.only(other).samples, model))
-        for model in (calibrate(taught.samples, taught.legs, taught.maintenance), refitted)
-    )
+    plain_fit = calibrate(taught.samples, taught.legs, taught.maintenance)
+    before, after = (scatter(estimate_flights(fleet.only(other).samples, m)) for m in (plain_fit, refitted))
     assert after < 0.7 * before
     assert after < 1.1 * noise
 

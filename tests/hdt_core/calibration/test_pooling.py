@@ -72,7 +72,7 @@ def test_a_unit_of_measurement_changes_nothing(unit):
         np.testing.assert_allclose(other, unit * np.asarray(plain), rtol=1e-6)
 
 
-def test_of_an_operator_that_shows_nothing_only_the_fleet_is_known():
+def test_an_operator_that_shows_nothing_has_the_fleets_and_hundreds_are_within_range():
     """A pack of its own has the spread of operators on top of the fleet's doubt, and that of packs on top of it."""
     value, error, operator = draw_packs(3)
     value[operator == 2] = np.nan
@@ -80,6 +80,10 @@ def test_of_an_operator_that_shows_nothing_only_the_fleet_is_known():
     assert pooled.operator[2] == pytest.approx(pooled.fleet, rel=1e-6)
     assert pooled.pack[2] == pytest.approx(pooled.fleet, rel=1e-6)
     assert pooled.fleet_sd < pooled.operator_sd[2] < pooled.pack_sd[2]
+    # The density of one unit is above 10, that of all together beyond 1e308.
+    ratios, none = np.tile([0.06, -0.02, 0.01], 100), np.zeros(300, dtype=bool)
+    together = _clean_units(ratios, np.full(300, 1e-4), none)
+    assert together == pytest.approx(clean_units(ratios, [0.01] * 300, none), rel=1e-6)
 
 
 def test_what_shows_nothing_is_nan_or_the_fleets_and_levels_have_names():
@@ -106,9 +110,8 @@ def cruise(**columns: list[float | None]) -> pl.DataFrame:
     sound = {"pack_flow_kg_s": 0.8, "cc_flow_kg_s": 0.8, "tat_k": 250.0, "cc_in_k": 250.0, "cc_in_pa": 3e4,
              "total_pressure_pa": 3e4, "cc_out_pa": 9e4, "altitude_m": 1e4}  # fmt: skip
     rows = PACKS.with_columns(pl.lit(v).alias(c) for c, v in sound.items())
-    return rows.with_columns(pl.Series(c, v) for c, v in columns.items()).with_columns(
-        flight_id=pl.lit("F"), time_utc=pl.lit(START)
-    )
+    rows = rows.with_columns(pl.Series(c, v) for c, v in columns.items())
+    return rows.with_columns(flight_id=pl.lit("F"), time_utc=pl.lit(START))
 
 
 def test_flow_and_tat_take_their_share_of_what_a_pack_shows_beyond_the_fleet():
@@ -133,15 +136,12 @@ def test_flow_and_tat_take_their_share_of_what_a_pack_shows_beyond_the_fleet():
     np.testing.assert_allclose(sd[:, others], np.tile(hx.BIAS_SDS[others], (4, 1)))
 
 
-def test_without_a_second_sensor_the_declared_error_stands():
+def test_the_compressors_probes_take_their_share_and_without_a_second_the_declared_error():
     mean, sd = sensor_prior(cruise(cc_flow_kg_s=[None] * 4, cc_in_k=[None] * 4).cast({"cc_flow_kg_s": pl.Float64,
                             "cc_in_k": pl.Float64}), PACKS)  # fmt: skip
     assert not mean.any()
     np.testing.assert_allclose(sd, np.tile(hx.BIAS_SDS, (4, 1)))
-
-
-def test_the_compressors_probes_take_theirs():
-    """Its inlet has 1 K against TAT's 0.5 K: 0.8 of the difference; .3 % of pressure against .2 %: 9/13."""
+    # Its inlet has 1 K against TAT's 0.5 K: 0.8 of the difference; .3 % of pressure against .2 %: 9/13.
     rows = cruise(cc_in_k=[252.0, 250.0, 253.0, 253.0], cc_in_pa=[3e4 * np.exp(0.01), 3e4, 2e4, 2e4],
                   tat_k=[250.0, 250.0, 253.0, 253.0], total_pressure_pa=[3e4, 3e4, 2e4, 2e4])  # fmt: skip
     corrections = probe_corrections(rows, PACKS)
@@ -271,13 +271,6 @@ def test_the_clean_level_is_integrated_over_spread_and_wear():
     assert fleet_level.reference_ua_w_k == clean
 
 
-def test_a_fleet_of_hundreds_is_within_the_range_of_numbers():
-    """The density of one unit is above 10, that of all together beyond 1e308."""
-    ratios, none = np.tile([0.06, -0.02, 0.01], 100), np.zeros(300, dtype=bool)
-    together = _clean_units(ratios, np.full(300, 1e-4), none)
-    assert together == pytest.approx(clean_units(ratios, [0.01] * 300, none), rel=1e-6)
-
-
 def test_few_flights_keep_the_scatter_and_nothing_seen_changes_nothing():
     few = flights(15, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
     assert fleet_levels(few, log(), DSM).flight_sd == pytest.approx(np.sqrt(0.015**2 - 0.004**2))
@@ -296,7 +289,6 @@ def test_a_deposit_in_series_is_brought_to_the_reference(wear):
     film = (np.exp(wear) - 1.0) / 1700.0
     ratio = -np.log1p(film * clean)
     none = np.zeros(3, dtype=int)
-    observed = at_reference(
-        Observation(ratio, np.ones(3), clean / 1700.0, none, none, none, np.ones(3)), np.full(3, wear)
-    )
+    flight = Observation(ratio, np.ones(3), clean / 1700.0, none, none, none, np.ones(3))
+    observed = at_reference(flight, np.full(3, wear))
     np.testing.assert_allclose(observed.ratio, -wear, atol=1e-12)

@@ -93,9 +93,8 @@ def test_figures_of_a_fit_with_hardly_a_degree_of_freedom(n, factor):
     scale = r @ r / (n - 2) if n > 2 else 1.0
     np.testing.assert_allclose(fit.scaled_sd, np.sqrt(np.diag(np.linalg.inv(slope.T @ slope / scale + prior))))
     bread, score = np.linalg.inv(slope.T @ slope + prior), slope * r[:, None]
-    np.testing.assert_allclose(
-        fit.sandwich_sd, np.sqrt(np.diag(bread @ (factor * score.T @ score + prior) @ bread)), rtol=1e-9
-    )
+    meat = bread @ (factor * score.T @ score + prior) @ bread
+    np.testing.assert_allclose(fit.sandwich_sd, np.sqrt(np.diag(meat)), rtol=1e-9)
     assert fit.bic == pytest.approx(n * np.log(r @ r / n) + 2.0 * np.log(n))
     exact = replace(fit, residuals=np.zeros((n, 1)))
     np.testing.assert_allclose(exact.scaled_sd, np.sqrt(np.diag(bread)))
@@ -180,9 +179,8 @@ def test_how_a_fit_ends_is_told():
                                  (5.1e-4, "approximate", "approximate")):  # fmt: skip
         assert conclude(line(), mean + np.array([off * step, 0.0]), reached, 1).status == status
     assert conclude(line(), mean * np.nan, "converged", 1).status == "diverged"
-    corner = line(
-        bounds=np.array([[-50.0, mean[0] - 0.5 * sd[0]], [-50.0, 50.0]]), prior=Belief(np.zeros(2), 25.0 * np.eye(2))
-    )
+    bounds = np.array([[-50.0, mean[0] - 0.5 * sd[0]], [-50.0, 50.0]])
+    corner = line(bounds=bounds, prior=Belief(np.zeros(2), 25.0 * np.eye(2)))
     assert NonlinearLeastSquares().estimate(corner).status == "at_bound"
     narrow = replace(line(), bounds=np.column_stack([mean - 2.9 * sd, mean + 2.9 * sd]))
     left_open = NonlinearLeastSquares().estimate(narrow)
@@ -209,7 +207,7 @@ def curved(value: float, sigma: float) -> Problem:
                    np.array([sigma]), lambda _x, theta, i: np.exp(theta[0] + 0.0 * i)[None])  # fmt: skip
 
 
-def test_profile_intervals_of_a_logarithm():
+def test_profile_intervals_of_a_logarithm_name_a_better_optimum_and_steep_or_flat_sides():
     """Objective ((e^x - y) / s)^2 rises by 3.84 where e^x is y +- 1.96 s; below zero it never does."""
     estimate = NonlinearLeastSquares().estimate(curved(1.0, 0.4))
     np.testing.assert_allclose(estimate.profile.interval, [np.log([1.0 - 0.784, 1.0 + 0.784])], rtol=0.03)
@@ -219,10 +217,7 @@ def test_profile_intervals_of_a_logarithm():
     assert left.profile.open.tolist() == [[True, False]]
     assert left.profile.interval[0, 1] == pytest.approx(np.log(1.0 + 1.96 * 0.6), rel=0.03)
     assert left.status == "weakly_identifiable"
-
-
-def test_a_better_optimum_elsewhere_is_told():
-    """x squared near 1, and x itself near 1: from below a fit ends near -1."""
+    # x squared near 1, and x itself near 1: from below a fit ends near -1.
     two = Problem(("x",), np.array([[-4.0, 4.0]]), unknown(np.array([-2.0])), np.tile([1.0, 0.3], (3, 1)),
                   np.full(2, 0.05),
                   lambda _x, theta, i: np.stack([theta[0] ** 2 + 0.0 * i, 0.3 * theta[0] + 0.0 * i]))  # fmt: skip
@@ -230,9 +225,6 @@ def test_a_better_optimum_elsewhere_is_told():
     assert estimate.status == "local_optimum"
     assert estimate.belief.mean[0] < -0.9
     assert estimate.better[0] == pytest.approx(1.0, abs=1e-3)
-
-
-def test_where_a_model_fails_on_one_side_it_is_steep_and_on_both_it_is_flat():
     steep = line(measured=np.zeros((3, 1)))
     steep = replace(steep, observe=lambda _x, t, i: np.stack([
         np.where(t[0] > 0.0, np.inf, 1.0), np.where(t[0] > 0.0, -np.inf, 1.0), np.full_like(t[0], np.inf)
@@ -255,11 +247,9 @@ def test_a_problem_that_makes_no_sense_is_refused(wrong):
 def test_a_kalman_step_is_the_conditional_normal():
     cov = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.0], [0.1, 0.0, 0.5]])
     belief, h = Belief(np.array([1.0, -1.0, 0.5]), cov), np.array([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]])
-    model, sigma, measured = (
-        Affine(h, np.array([0.2, -0.1]), np.diag([0.01, 0.02])),
-        np.array([0.3, 0.4]),
-        np.array([2.0, -2.0]),
-    )
+    model = Affine(h, np.array([0.2, -0.1]), np.diag([0.01, 0.02]))
+    sigma = np.array([0.3, 0.4])
+    measured = np.array([2.0, -2.0])
     s = h @ cov @ h.T + np.diag([0.01 + 0.09, 0.02 + 0.16])
     error = measured - (h @ belief.mean + [0.2, -0.1])
     correction = innovate(belief, model, measured, sigma)
@@ -278,9 +268,8 @@ def test_a_kalman_step_is_the_conditional_normal():
     for slope, offset in (([[1.0, np.inf, 0.0]] * 2, [0.0, 0.0]), (h, [0.0, np.nan])):
         with pytest.raises(LostTrackError):
             innovate(belief, Affine(np.array(slope), np.array(offset), np.zeros((2, 2))), measured, sigma)
-    move = Affine(
-        np.array([[1.0, 0.5, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.1, 0.0]), 0.1 * np.eye(3)
-    )
+    ahead = np.array([[1.0, 0.5, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]])
+    move = Affine(ahead, np.array([0.0, 0.1, 0.0]), 0.1 * np.eye(3))
     later = predict_belief(belief, move)
     np.testing.assert_allclose(later.mean, [0.5, -0.8, 0.5])
     np.testing.assert_allclose(later.cov, move.slope @ cov @ move.slope.T + 0.1 * np.eye(3))

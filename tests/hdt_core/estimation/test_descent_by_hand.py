@@ -58,22 +58,25 @@ def test_damping_follows_nielsen(damping, won, promised, after):
     assert next_damping(damping, 4.0, won, promised) == pytest.approx(after, rel=1e-12)
 
 
-def test_a_last_step_promises_next_to_nothing():
+def test_a_last_step_promises_next_to_nothing_within_the_box_of_a_search():
     """A hundred-millionth of the residuals' variance, 1e-22 without noise; a trillionth of the objective if unpaid."""
     for sign in (1.0, -1.0):
         assert [is_settled(sign * share * 1e-8 * 500.0 / 50, 500.0, 50) for share in (0.99, 1.01)] == [True, False]
         assert [is_settled(sign * share * 1e-22, 0.0, 50) for share in (0.99, 1.01)] == [True, False]
         assert [is_exhausted(sign * share * 1e-12 * 500.0, 0.0, 500.0) for share in (0.99, 1.01)] == [True, False]
     assert not is_exhausted(0.0, 1e-9, 500.0)
+    # Bounds, else four deviations of the prior, else ten times the start or ten.
+    np.testing.assert_allclose(BOX.search_box, [[-1.0, -7.0, -36.0, 2.0], [3.0, 9.0, 5.0, 2.0]])
+    origin = replace(BOX, prior=unknown(np.array([0.0, 0.5, 0.0, 0.0])))
+    np.testing.assert_allclose(origin.search_box[1], [3.0, 10.5, 5.0, 2.0])
 
 
 def test_an_inverse_a_determinant_and_a_decrement():
     inverse, determinant = inverse_spd(NORMAL)
     np.testing.assert_allclose(inverse, np.linalg.inv(NORMAL), rtol=1e-12)
     assert determinant == pytest.approx(np.linalg.det(NORMAL) / (4.0 * 9.0 * 3.0))
-    assert (
-        inverse_spd(np.array([[1.0, 0.0], [0.0, 0.0]]))[1] == inverse_spd(np.array([[1.0, 1.0], [1.0, 1.0]]))[1] == 0.0
-    )
+    for singular in ([[1.0, 0.0], [0.0, 0.0]], [[1.0, 1.0], [1.0, 1.0]]):
+        assert inverse_spd(np.array(singular))[1] == 0.0
     gradient, sd = np.array([0.3, -0.2, 0.1]), np.sqrt(np.diag(np.linalg.inv(NORMAL)))
     for share, off in ((0.9, False), (1.1, True)):
         for side in (0, 1):
@@ -194,22 +197,13 @@ def test_an_unseen_direction_leaves_no_covariance_with_the_rest():
         (1.9e-14, False),
     ):  # a condition (2 - gap) / gap of 1e14 is as good as a zero
         pair = np.array([[1.0, 1.0 - gap], [1.0 - gap, 1.0]])
-        assert (invert_information(pair)[1], Identifiability(("a", "b"), pair).identifiable) == (
-            is_identifiable,
-            is_identifiable,
-        )
+        assert invert_information(pair)[1] == is_identifiable
+        assert Identifiability(("a", "b"), pair).identifiable == is_identifiable
 
 
 BOX = Problem(("a", "b", "c", "d"), np.array([[-1.0, 3.0], [-np.inf, np.inf], [-np.inf, 5.0], [2.0, 2.0]]),
               Belief(np.array([0.0, 1.0, 4.0, 0.0]), np.diag([1.0, 4.0, np.inf, np.inf])), np.zeros((1, 1)), np.ones(1),
               lambda _x, theta, i: (theta[0] ** 2 + theta[1] * theta[2] + 0.0 * i)[None])  # fmt: skip
-
-
-def test_the_box_of_a_search():
-    """Bounds, else four deviations of the prior, else ten times the start or ten."""
-    np.testing.assert_allclose(BOX.search_box, [[-1.0, -7.0, -36.0, 2.0], [3.0, 9.0, 5.0, 2.0]])
-    origin = replace(BOX, prior=unknown(np.array([0.0, 0.5, 0.0, 0.0])))
-    np.testing.assert_allclose(origin.search_box[1], [3.0, 10.5, 5.0, 2.0])
 
 
 def test_a_swarm_flies_as_clerc_and_kennedy_say():
@@ -282,9 +276,8 @@ def test_a_declared_state_is_stepped_and_stepped_twice_as_finely():
     assert plain.drift.tolist() == [0.0]
     np.testing.assert_allclose(plain.transition(np.array([1.5]), np.array([0.7]), 0), [1.5 + 0.2 - 0.7 * 1.5])
     # both outputs, the second before the first is no matter: by name
-    both = declared_problem(
-        TANK, ["rate", "gain"], {"inflow": np.zeros(2)}, {"twice": np.ones(2), "level": np.zeros(2)}
-    )
+    measured = {"twice": np.ones(2), "level": np.zeros(2)}
+    both = declared_problem(TANK, ["rate", "gain"], {"inflow": np.zeros(2)}, measured)
     np.testing.assert_allclose(both.simulate(np.array([0.5, 0.9]))[0], [1.35, 3.0])
     np.testing.assert_allclose((both.measured[0], both.sigma), ([0.0, 1.0], [0.2, 0.4]))
 

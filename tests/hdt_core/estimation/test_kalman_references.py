@@ -66,14 +66,10 @@ def log_likelihoods(filtered) -> list[float]:
 
 
 @METHODS
-def test_nile_log_likelihood_from_a_wide_start(method):
+def test_nile_log_likelihood_from_a_wide_and_from_an_exact_diffuse_start(method):
     # statsmodels' approximate diffuse start: variance 1e6 about zero, the first sample's term left out
     filtered = forward(nile(1e6), linearisation(method, 1))
     assert sum(log_likelihoods(filtered)[1:]) == pytest.approx(-632.537695048, abs=1e-8)
-
-
-@METHODS
-def test_nile_log_likelihood_from_an_exact_diffuse_start(method):
     # the limit of an infinite variance: the first sample is the level, to its own noise; -632.5456 by KFAS in R
     problem = nile(1.0)
     start = Belief(problem.measured[0], np.array([[15099.0 + 1469.1]]))
@@ -178,9 +174,8 @@ def test_unscented_filter_equals_that_of_filterpy_on_the_oscillator():
     problem = oscillator_problem(5, compiled=False)
     start = Belief(problem.start.mean, np.diag([1e-4, 1e-4]))
     # filterpy keeps no bounds: the guess lies far enough inside them here
-    problem = replace(problem, start=start, measured=problem.measured[:200]).with_prior(
-        Belief(np.array([0.6, 1.8]), np.diag([0.05, 0.1]) ** 2)
-    )
+    prior = Belief(np.array([0.6, 1.8]), np.diag([0.05, 0.1]) ** 2)
+    problem = replace(problem, start=start, measured=problem.measured[:200]).with_prior(prior)
     ours = forward(problem, sigma_points(4))
     points = MerweScaledSigmaPoints(4, 1.0, 0.0, 0.0)
     state = {"i": 0}

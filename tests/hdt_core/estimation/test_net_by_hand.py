@@ -69,9 +69,8 @@ def test_a_nets_states_and_its_loss_by_hand():
     # a start known exactly counts by a thousandth of the state's size
     exact = replace(swing(), start=Belief(np.array([1.2]), np.zeros((1, 1))))
     assert _loss(exact, vector, LAYOUT, rho)[0][-5] == pytest.approx((x[0] - 1.2) / 2e-3)
-    value, by_x, by_theta = _with_slopes(
-        lambda x, t, i: x * t[0] ** 2 + i, np.array([[1.0, 2.0]]), np.array([3.0]), np.arange(2)
-    )
+    at = np.array([[1.0, 2.0]]), np.array([3.0]), np.arange(2)
+    value, by_x, by_theta = _with_slopes(lambda x, t, i: x * t[0] ** 2 + i, *at)
     np.testing.assert_allclose(value, [[9.0, 19.0]])
     np.testing.assert_allclose(by_x, [[[9.0, 9.0]]], rtol=1e-6)
     np.testing.assert_allclose(by_theta, [[[6.0, 12.0]]], rtol=1e-6)
@@ -165,7 +164,7 @@ def test_a_net_is_trained_step_by_step(rho, gain, most):
     np.testing.assert_allclose(trained[-2:], vector[-2:], rtol=1e-6)
 
 
-def test_products_of_states_and_their_slopes():
+def test_products_of_states_and_a_net_that_loses_them():
     layout = _lay_out(np.array([[2.0, -4.0], [1.0, 4.0], [-2.0, 0.0]]), 5)
     states = np.array([[1.0, 0.0], [2.0, -4.0]])
     values, slopes = _products(states, layout)
@@ -173,6 +172,8 @@ def test_products_of_states_and_their_slopes():
     np.testing.assert_allclose(values, [a**2, a * b, b**2, a**3, a**2 * b, a * b**2, b**3])
     np.testing.assert_allclose(slopes[:, 0], np.array([2 * a, b, 0 * a, 3 * a**2, 2 * a * b, b**2, 0 * a]) / 2.0)
     np.testing.assert_allclose(slopes[:, 1], np.array([0 * a, a, 2 * b, 0 * a, a**2, 2 * a * b, 3 * b**2]) / 4.0)
+    undefined = replace(lag(), transition=lambda x, _t, _i: np.nan * x)
+    assert PhysicsInformedNet().estimate(undefined).n_evals == 1
 
 
 def test_an_average_over_models_is_that_of_each_models_own_regression():
@@ -206,9 +207,8 @@ def test_an_average_over_models_is_that_of_each_models_own_regression():
     products = np.array([[2, 0], [1, 1], [0, 3]])
     assert _describe(average, products) == f"the physics lacks x1 x2 in the rate of x1 (probability {weight[2]:.2f})"
     both = average._replace(terms=(0, 5), chance=0.5)
-    assert _describe(both, products) == (
-        "the physics lacks x1^2 in the rate of x1 and x2^3 in the rate of x2 (probability 0.50)"
-    )
+    words = "the physics lacks x1^2 in the rate of x1 and x2^3 in the rate of x2 (probability 0.50)"
+    assert _describe(both, products) == words
 
 
 def oscillator(seed: int, cubic_n_m3: float) -> Problem:
@@ -268,8 +268,3 @@ def test_a_record_that_leaves_the_physics_open_is_weakly_identifiable(
     np.testing.assert_array_equal(estimate.belief.mean, average.mean)
     if names_a_term:  # elsewhere residuals larger than sigma widen it
         np.testing.assert_array_equal(estimate.belief.cov, average.cov)
-
-
-def test_a_net_that_loses_its_states_stops_at_once():
-    undefined = replace(lag(), transition=lambda x, _t, _i: np.nan * x)
-    assert PhysicsInformedNet().estimate(undefined).n_evals == 1

@@ -82,9 +82,8 @@ class Certified:
 def read(name: str) -> Certified:
     lines = (FOLDER / f"{name}.dat").read_text().splitlines()
     number = r"[-+]?\d*\.?\d+(?:[Ee][-+]?\d+)?"
-    rows = [
-        [float(v) for v in re.findall(number, line.split("=")[1])] for line in lines if re.match(r"\s+b\d+ =", line)
-    ]
+    values = [line.split("=")[1] for line in lines if re.match(r"\s+b\d+ =", line)]
+    rows = [[float(v) for v in re.findall(number, value)] for value in values]
     table = np.array(rows)
     squares = next(float(line.split()[-1]) for line in lines if line.startswith("Residual Sum of Squares"))
     level = next(line.split()[0] for line in lines if "Level of Difficulty" in line)

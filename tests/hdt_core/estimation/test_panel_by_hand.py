@@ -88,9 +88,8 @@ def dense(panel: Panel, n_steps: int):
                 short = mean @ np.column_stack([a[:, :P], own])
                 fitted = z @ np.linalg.solve(z.T @ precision @ z, z.T @ precision @ short)
                 owner = np.array([k[0] for k in keys])[:, None] == np.arange(UNITS)
-                predictor = np.column_stack(
-                    [fitted[:, :P], (owner[:, :, None] * fitted[:, None, P:]).reshape(len(keys), -1)]
-                )
+                own = owner[:, :, None] * fitted[:, None, P:]
+                predictor = np.column_stack([fitted[:, :P], own.reshape(len(keys), -1)])
             normal = normal + a.T @ within @ a + predictor.T @ precision @ predictor
             right = right - a.T @ within @ r - predictor.T @ precision @ mean @ r
             levels = walk @ precision @ mean @ np.column_stack([a, r])

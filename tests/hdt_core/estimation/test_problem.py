@@ -108,10 +108,8 @@ NOISE = 0.02 * np.random.default_rng(3).standard_normal((84, 1))
 
 def decays(**more) -> Problem:
     """Seven decays: two plain; a value missing; a misfit; none at all; a rate at its bound; hardly a decay."""
-    level, rate = (
-        np.repeat([2.0, 1.0, 1.5, 1.0, 0.0, 3.0, 1.0], 12),
-        np.repeat([1.0, 2.0, 0.7, 1.0, 0.0, 9.0, 0.01], 12),
-    )
+    level = np.repeat([2.0, 1.0, 1.5, 1.0, 0.0, 3.0, 1.0], 12)
+    rate = np.repeat([1.0, 2.0, 0.7, 1.0, 0.0, 9.0, 0.01], 12)
     measured = (level * np.exp(-rate * TIME))[:, None] + NOISE
     measured[25] = np.nan
     measured[36:48, 0] += 0.5 * np.cos(9.0 * TIME[36:48])

@@ -102,7 +102,7 @@ def test_profiles_of_a_straight_line_are_its_deviations(variance):
     assert (wall.interval[1, 0], wall.open.tolist()) == (0.49, [[False, False], [True, False]])
 
 
-def test_with_one_parameter_held_the_others_follow_along_the_line():
+def test_with_one_parameter_held_the_others_follow_and_an_interval_may_be_endless():
     """The guess is the optimum of a straight line: two objectives, one linearisation, and no step."""
     problem = line()
     at = descend(problem, np.zeros(2))
@@ -110,6 +110,16 @@ def test_with_one_parameter_held_the_others_follow_along_the_line():
     theta = [1.0 - at.normal[0, 1] / at.normal[0, 0] * 0.2, 0.7]
     np.testing.assert_allclose(point.theta, theta, rtol=1e-9)
     assert point.n_evals == 2 + 5
+    # The objective ((e^x - 1) / 0.6)^2 rises to 2.8 downwards, however far.
+    problem = Problem(("x",), np.array([[-np.inf, np.inf]]), unknown(np.zeros(1)), np.ones((1, 1)), np.array([0.6]),
+                      lambda _x, t, i: np.exp(t[0] + 0.0 * i)[None])  # fmt: skip
+    at = descend(problem, np.zeros(1))
+    profile = profile_intervals(problem, at, np.array([[0.36]]))
+    assert (profile.interval[0, 0], profile.open.tolist(), profile.without_limit) == (-np.inf, [[True, False]], ("x",))
+    # without a deviation the first stretch is the value's own size, at least 1
+    for blind in (np.inf, 0.0):
+        interval = profile_intervals(problem, at, np.array([[blind]])).interval
+        np.testing.assert_allclose(interval, profile.interval, rtol=0.02)
 
 
 def crossing_by_hand(rise, near, far, target):
@@ -163,19 +173,6 @@ def test_descents_of_the_checks_have_sixty_steps_and_refits_twenty_five(monkeypa
     _refit_fixed(problem, at, 1, 0.7)
     better_optima(problem, [at])
     assert most == [(25, 2)] + [(60,)] * 4
-
-
-def test_an_interval_without_an_end_is_endless():
-    """The objective ((e^x - 1) / 0.6)^2 rises to 2.8 downwards, however far."""
-    problem = Problem(("x",), np.array([[-np.inf, np.inf]]), unknown(np.zeros(1)), np.ones((1, 1)), np.array([0.6]),
-                      lambda _x, t, i: np.exp(t[0] + 0.0 * i)[None])  # fmt: skip
-    at = descend(problem, np.zeros(1))
-    profile = profile_intervals(problem, at, np.array([[0.36]]))
-    assert (profile.interval[0, 0], profile.open.tolist(), profile.without_limit) == (-np.inf, [[True, False]], ("x",))
-    # without a deviation the first stretch is the value's own size, at least 1
-    for blind in (np.inf, 0.0):
-        interval = profile_intervals(problem, at, np.array([[blind]])).interval
-        np.testing.assert_allclose(interval, profile.interval, rtol=0.02)
 
 
 @pytest.mark.parametrize(("sd", "ends"), [(1.01 / 2**11, True), (0.99 / 2**11, False)])

@@ -45,9 +45,8 @@ def _logged(aircraft: Aircraft, rows: pl.DataFrame) -> pl.DataFrame:
 
 def make_fleet(seed: int, settings: FleetSettings) -> Fleet:
     fleet = list(simulate_fleet(seed, settings))
-    snapshots = [_si(a, a.snapshots, "acms") for a in fleet] + [
-        _si(a, log, "cpl") for a in fleet for log in a.cpl.values()
-    ]
+    logs = [_si(a, log, "cpl") for a in fleet for log in a.cpl.values()]
+    snapshots = [_si(a, a.snapshots, "acms") for a in fleet] + logs
     return Fleet(
         pl.concat(snapshots),
         pl.concat(_logged(a, a.maintenance) for a in fleet),

@@ -97,9 +97,8 @@ def test_a_drift_that_only_the_twin_sees_is_turned_away_from_its_first_flights(f
     norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
     signs = leg_indicators(samples, norm)
     logs = fleet.maintenance, fleet.messages
-    before, after = (
-        admit(norm, legs, signs, *logs, twin_flights=_apart(legs, column, rate, mine)) for rate in (0.0, slope)
-    )
+    twins = (_apart(legs, column, rate, mine) for rate in (0.0, slope))
+    before, after = (admit(norm, legs, signs, *logs, twin_flights=twin) for twin in twins)
     sound = before.with_columns(legs["flight_number"]).filter("admitted")
     hit = after.join(sound.select(*LEG, "flight_number"), on=LEG)
     assert (hit.filter(mine & pl.col("flight_number").is_between(110, 140))["reason"] == "SENSOR_SHIFT").all()
@@ -128,9 +127,8 @@ def test_the_index_falls_with_true_loss_and_is_null_without_samples(fleet, level
     legs, samples = level_one
     level = leg_conductance(samples, learn_manifold(samples, legs)).join(fleet.truth, on=KEY)
     sound = level.filter(~pl.col("icing") & ~pl.col("door_fault") & (pl.col("sensor_fault") == ""))
-    change = sound.select(
-        (pl.col(c) - pl.col(c).median().over("tail", "pack")).alias(c) for c in ("index_level", "apparent_ua_ratio")
-    )
+    columns = (pl.col("index_level"), pl.col("apparent_ua_ratio"))
+    change = sound.select(c - c.median().over("tail", "pack") for c in columns)
     assert np.corrcoef(change.to_numpy().T)[0, 1] > 0.8
     few = samples.head(3)
     assert add_conductance_index(few, learn_manifold(few, legs))["conductance_index"].null_count() == 3
@@ -227,7 +225,6 @@ def test_an_outlier_of_few_samples_counts_as_its_mean_deserves(n, off_k, out):
     """Weighted by the root of an eighth of its samples, one where the number is not known: 3.48 deviations of .2 K is
     the 99.95 % quantile of one normal residual."""
     scatter = Scatter(("inlet_minus_tat_k_off",), (0.0,), ((25.0,),))
-    result = verdicts(
-        scatter=scatter, inlet_minus_tat_k=[0.0] * 29 + [off_k], index_n=pl.Series([n] * N, dtype=pl.Int64)
-    )
+    few = pl.Series([n] * N, dtype=pl.Int64)
+    result = verdicts(scatter=scatter, inlet_minus_tat_k=[0.0] * 29 + [off_k], index_n=few)
     assert result["reason"].to_list() == [""] * 29 + (["OUTLIER"] if out else [""])

@@ -61,9 +61,7 @@ def test_order_repetition_and_other_flights_change_no_verdict(one_tail, legs_and
 
 def _altered(rows: pl.DataFrame, pack: int, **new: pl.Expr) -> pl.DataFrame:
     mine = (pl.col("pack") == pack) & (pl.col("source") == "acms")
-    return rows.with_columns(
-        pl.when(mine).then(value).otherwise(pl.col(name)).alias(name) for name, value in new.items()
-    )
+    return rows.with_columns(pl.when(mine).then(value).otherwise(name).alias(name) for name, value in new.items())
 
 
 @pytest.mark.parametrize(
@@ -195,9 +193,8 @@ def legs() -> pl.DataFrame:
     rows = [("AAA", t, f, p, DAY + timedelta(hours=h)) for t, f, h in flights for p in (1, 2)]
     frame = pl.DataFrame(rows, schema=["operator", "tail", "flight_id", "pack", "departed_at"], orient="row")
     sick = (pl.col("flight_id") == "a") & (pl.col("pack") == 2)
-    return frame.with_columns(reason=pl.when(sick).then(pl.lit("ICING")).otherwise(pl.lit(""))).with_columns(
-        admitted=pl.col("reason") == "", n_nominal=pl.lit(7, pl.Int64)
-    )
+    rows = frame.with_columns(reason=pl.when(sick).then(pl.lit("ICING")).otherwise(pl.lit("")))
+    return rows.with_columns(admitted=pl.col("reason") == "", n_nominal=pl.lit(7, pl.Int64))
 
 
 ODD = [{"bleed_2_open": False}, {"crossfeed_open": True}, {"pack_1_flow_kg_s": 0.02}]

@@ -31,12 +31,8 @@ def flown(seed: int = 0) -> tuple[pl.DataFrame, pl.DataFrame]:
     y = 0.9 - 0.6 * np.log(flow / 0.75) + 0.4 * np.log(door / 0.4) - wear + rng.standard_t(3, n) * 0.02
     hot = np.full(n, 400.0)
     out = (hot + np.exp(y) * tat) / (1.0 + np.exp(y))
-    key = {
-        "operator": "TST",
-        "tail": "T",
-        "flight_id": np.repeat([f"F{k:02d}" for k in range(FLIGHTS)], EACH),
-        "pack": 1,
-    }
+    flights = np.repeat([f"F{k:02d}" for k in range(FLIGHTS)], EACH)
+    key = {"operator": "TST", "tail": "T", "flight_id": flights, "pack": 1}
     signals = {
         "monitored": True, "hx_in_k": hot, "hx_out_k": out, "tat_k": tat, "pack_flow_kg_s": flow, "ram_door_open": door,
         "total_pressure_pa": total, "mach": mach,
@@ -49,9 +45,8 @@ def flown(seed: int = 0) -> tuple[pl.DataFrame, pl.DataFrame]:
 def terms(s: dict[str, np.ndarray]) -> np.ndarray:
     flow, door = np.log(s["pack_flow_kg_s"]), np.log(np.maximum(s["ram_door_open"], 0.02))
     density = np.log(s["total_pressure_pa"] / np.sqrt(s["tat_k"])) - 7.7
-    return np.column_stack(
-        [flow, door, density, np.log(np.maximum(s["mach"], 0.2)), door**2, door * density, flow * door]
-    )
+    speed = np.log(np.maximum(s["mach"], 0.2))
+    return np.column_stack([flow, door, density, speed, door**2, door * density, flow * door])
 
 
 def columns(samples: pl.DataFrame) -> dict[str, np.ndarray]:
@@ -129,17 +124,11 @@ NO_LOG = pl.DataFrame(schema=TEXT | {"pack": pl.Int32, "done_on": pl.Date})
 
 
 def levels(level: np.ndarray, unrest: float = 0.0) -> pl.DataFrame:
-    key = {
-        "operator": "TST",
-        "tail": "T",
-        "flight_id": [f"F{k:02d}" for k in range(N)],
-        "pack": 1,
-        "flight_number": FLIGHT,
-    }
+    flights = [f"F{k:02d}" for k in range(N)]
+    key = {"operator": "TST", "tail": "T", "flight_id": flights, "pack": 1, "flight_number": FLIGHT}
     rows = pl.DataFrame(key | {"index_level": level, "index_unrest": unrest, "index_n": 8}).cast({"pack": pl.Int32})
-    return rows.with_columns(
-        departed_at=pl.datetime(2024, 3, 1, time_zone="UTC") + pl.duration(days=pl.col("flight_number"))
-    )
+    days = pl.duration(days=pl.col("flight_number"))
+    return rows.with_columns(departed_at=pl.datetime(2024, 3, 1, time_zone="UTC") + days)
 
 
 UNKNOWN = IndexLevel()
@@ -194,9 +183,8 @@ def test_outliers_lie_beyond_the_chi_square_quantile_of_neighbours_and_levels():
     assert lone["index_off"].to_list() == [None]
     edge = np.sqrt(chi2.ppf(0.9995, 2))
     scatter = Scatter(("a", "b"), (1.0, 0.0), ((4.0, 0.0), (0.0, 1.0)))
-    rows = pl.DataFrame(
-        {"a": [1.0 + 0.5 * 1.001 * edge, 1.0 + 0.5 * 0.999 * edge, 1.0], "b": [0.0, None, 1.001 * edge]}
-    )
+    a = [1.0 + 0.5 * 1.001 * edge, 1.0 + 0.5 * 0.999 * edge, 1.0]
+    rows = pl.DataFrame({"a": a, "b": [0.0, None, 1.001 * edge]})
     assert scatter.flag_outliers(rows).to_list() == [True, False, True]
 
 

@@ -16,12 +16,8 @@ CRUISE = {
     "cc_in_pa": 33_500.0, "cc_out_k": 365.0, "cc_out_pa": 93_000.0, "cc_flow_kg_s": 0.8, "vda_counts": 400.0,
 }  # fmt: skip
 NOISE = {
-    "pack_flow_kg_s": 0.008,
-    "cc_flow_kg_s": 0.012,
-    "cc_speed_rad_s": 80.0,
-    "vda_counts": 40.0,
-    "ram_door_open": 0.01,
-}
+    "pack_flow_kg_s": 0.008, "cc_flow_kg_s": 0.012, "cc_speed_rad_s": 80.0, "vda_counts": 40.0, "ram_door_open": 0.01,
+}  # fmt: skip
 
 
 def recorded(n: int = 40, seed: int = 1) -> pl.DataFrame:
@@ -43,11 +39,9 @@ def test_a_sound_record_passes_a_lasting_step_is_no_spike_and_an_empty_column_un
     screened = null_bad_values(recorded(), by=BY)
     assert screened.select(SIGNALS).equals(recorded().select(SIGNALS))
     assert screened.select(pl.sum_horizontal("n_out_of_range", "n_spikes", "n_frozen").sum()).item() == 0
+    late = pl.col("time_utc").rank("dense") > 20
     stepped = recorded().with_columns(
-        pl.when(pl.col("time_utc").rank("dense") > 20)
-        .then(pl.col("hx_out_k") + 25.0)
-        .otherwise(pl.col("hx_out_k"))
-        .alias("hx_out_k")
+        pl.when(late).then(pl.col("hx_out_k") + 25.0).otherwise("hx_out_k").alias("hx_out_k")
     )
     assert null_bad_values(stepped, by=BY)["hx_out_k"].null_count() == 0
     without = recorded().with_columns(pl.lit(None, pl.Float64).alias("ram_out_k"))
@@ -61,9 +55,8 @@ cc_speed_rad_s 0 8000 700, cc_in_k 200 345 8, cc_in_pa 8000 130000 8000, cc_out_
 cc_out_pa 30000 300000 8000, cc_flow_kg_s 0 3 0.2, vda_counts -1 4200 400
 """
 """Lowest and highest physical value of each signal, and the largest jump out of and back to its neighbours."""
-LIMIT = {
-    name: tuple(map(float, limits)) for name, *limits in (line.split() for line in PAPER.replace("\n", " ").split(","))
-}
+LINES = (line.split() for line in PAPER.replace("\n", " ").split(","))
+LIMIT = {name: tuple(map(float, limits)) for name, *limits in LINES}
 
 
 def read(signal: str, values: dict[int, float], **more: object) -> pl.DataFrame:
@@ -111,9 +104,8 @@ def test_a_noisy_reading_repeated_six_times_over_two_minutes_is_dead(signal):
         same = pl.when(pl.int_range(pl.len()).is_between(50, 49 + n)).then(level)
         same = same.otherwise(0.3 * high + 1e-3 * pl.col(signal))
         row = pl.int_range(pl.len()).over("pack")
-        slow = recorded().with_columns(
-            same.alias(signal), time_utc=datetime(2024, 3, 1, tzinfo=UTC) + row * timedelta(seconds=every_s)
-        )
+        later = datetime(2024, 3, 1, tzinfo=UTC) + row * timedelta(seconds=every_s)
+        slow = recorded().with_columns(same.alias(signal), time_utc=later)
         assert (null_bad_values(slow, by=BY)["n_frozen"].sum() == n) is frozen
 
 

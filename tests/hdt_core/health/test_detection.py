@@ -129,21 +129,21 @@ def test_delay_of_a_call(z: float, calls_after: int | None) -> None:
     assert (int(called.argmax()) - 99 if called.any() else None) == calls_after
 
 
-def test_restart_forgets_the_old_unit() -> None:
+def test_restart_forgets_the_old_unit_and_persistence_has_hysteresis() -> None:
     values = noise(20, 120)
     values[:, 60:] += 5.0
     new = np.zeros((20, 120, 1), dtype=bool)
     new[:, 60] = True
     assert not watch(values[:, :, None], SD, new).alarm.any()
-
-
-def test_persistence_with_hysteresis_and_end() -> None:
     flags = np.array([[0, 1, 0, 1, 0, 0, 0, 0, 1]], dtype=bool)
     keep = np.array([[0, 0, 0, 0, 1, 1, 0, 0, 0]], dtype=bool)
     ended = np.zeros_like(flags)
     assert persistent(flags, 2, 3, 2, keep=keep)[0].astype(int).tolist() == [0, 0, 0, 1, 1, 1, 1, 0, 0]
     ended[0, 3] = True
     assert not persistent(flags, 2, 3, 2, keep=keep, restart=ended).any()
+    events = np.array([[0, 1, 0, 0, 1]], dtype=bool)
+    assert since(events)[0].tolist() == [10**6, 0, 1, 2, 0]
+    assert lingering(events, 1)[0].tolist() == [False, True, True, False, True]
 
 
 def flight_by_flight(flags: Flags, keep: Flags, ended: Flags, k: int, n: int, hold: int) -> list[list[bool]]:
@@ -170,9 +170,3 @@ def test_persistence_all_at_once_is_that_of_flight_by_flight(seed: int) -> None:
         k = int(rng.integers(1, n + 1))
         result = persistent(flags, k, n, hold, keep=keep, restart=ended)
         assert result.tolist() == flight_by_flight(flags, keep, ended, k, n, hold)
-
-
-def test_flights_since() -> None:
-    events = np.array([[0, 1, 0, 0, 1]], dtype=bool)
-    assert since(events)[0].tolist() == [10**6, 0, 1, 2, 0]
-    assert lingering(events, 1)[0].tolist() == [False, True, True, False, True]

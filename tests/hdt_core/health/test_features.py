@@ -46,9 +46,8 @@ def described(long: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
 @pytest.fixture
 def replaced(nothing_done) -> pl.DataFrame:
     row = {"operator": "TST", "tail": "T-AAA", "pack": 1, "done_on": date(2024, 3, 15), "component": "HX"}
-    return pl.concat(
-        [nothing_done, pl.DataFrame([row | {"action": "REPLACED", "finding": "FOULED"}], schema=nothing_done.schema)]
-    )
+    entry = row | {"action": "REPLACED", "finding": "FOULED"}
+    return pl.concat([nothing_done, pl.DataFrame([entry], schema=nothing_done.schema)])
 
 
 def test_slopes_are_least_squares_over_gaps_from_four_values_on(nothing_done) -> None:
@@ -107,9 +106,8 @@ TWIN = {
 
 
 def twin_rows(long: pl.DataFrame) -> pl.DataFrame:
-    return long.select("operator", "tail", "flight_id", "pack").with_columns(
-        pl.lit(v).alias(k) for k, v in TWIN.items()
-    )
+    rows = long.select("operator", "tail", "flight_id", "pack")
+    return rows.with_columns(pl.lit(v).alias(k) for k, v in TWIN.items())
 
 
 def test_virtual_sensors_by_hand() -> None:
@@ -155,20 +153,24 @@ def test_usage_door_and_the_other_pack(nothing_done) -> None:
     assert not [name for name in out.columns if name.startswith("other_") or name.endswith("_life")]
 
 
-def test_residual_means_have_their_names(nothing_done) -> None:
+def test_residual_means_have_their_names_whatever_the_order_of_rows(nothing_done) -> None:
     long = health(np.zeros(1))
     row = long.select("operator", "tail", "flight_id", "pack").row(0, named=True)
-    rows = [
-        row | {"signal": s, "kind": k, "mean": m}
-        for s, k, m in (("hx_out_k", "sensor_minus_dsm", 3.0), ("hx_out_k", "d", 5.0), ("x", "d", 4.0))
-    ]
+    means = (("hx_out_k", "sensor_minus_dsm", 3.0), ("hx_out_k", "d", 5.0), ("x", "d", 4.0))
+    rows = [row | {"signal": s, "kind": k, "mean": m} for s, k, m in means]
     means = pl.DataFrame(rows, schema_overrides={"pack": pl.Int32})
     out = features(long, means, legs_of(long), nothing_done)
     assert out.select("hx_out_sensor_minus_dsm_k", "hx_out_excess_k", "x_d").row(0) == (3.0, 3.0, 4.0)
     assert out["hx_out_d_k"].to_list() == [5.0]
+    loss = np.cumsum(np.random.default_rng(2).normal(0.001, 0.004, 40))
+    alone = described(health(loss), nothing_done)
+    both = pl.concat([health(loss[::-1].copy(), tail="T-AAB"), health(loss)]).sample(fraction=1.0, shuffle=True, seed=1)
+    assert_frame_equal(described(both, nothing_done).filter(pl.col("tail") == "T-AAA"), alone)
+    empty = health(np.zeros(1)).clear()
+    assert described(empty, nothing_done).height == 0
 
 
-def test_a_new_unit_starts_a_new_life_from_the_day_of_a_late_entry(replaced) -> None:
+def test_a_new_unit_starts_a_new_life_and_nothing_leaks_from_the_future(replaced) -> None:
     loss = np.where(np.arange(90) < 45, 0.3, 0.0) + 0.001 * np.arange(90)
     out = described(health(loss), replaced)
     day = out["departed_at"].dt.date()
@@ -179,6 +181,12 @@ def test_a_new_unit_starts_a_new_life_from_the_day_of_a_late_entry(replaced) -> 
     rows = legs_of(health(np.zeros(60)))
     out = since_maintenance(rows.with_columns(pl.lit(0).alias("flight_index")), replaced)
     assert out["hx_life"].to_list() == [0] * 45 + [1] * 15
+    loss = np.cumsum(np.random.default_rng(1).normal(0.002, 0.005, 90))
+    long = pl.concat([health(loss), health(loss[::-1].copy(), pack=2)])
+    whole = described(long, replaced)
+    early = whole["departed_at"] < START + timedelta(days=20)
+    part = described(long.filter(pl.col("departed_at") < START + timedelta(days=20)), replaced)
+    assert_frame_equal(whole.filter(early), part, check_exact=False, rel_tol=1e-9, abs_tol=1e-9)
 
 
 def test_the_age_of_a_unit_fitted_before_the_record_begins_is_not_known():
@@ -188,36 +196,13 @@ def test_the_age_of_a_unit_fitted_before_the_record_begins_is_not_known():
     assert features(long, NO_RESIDUALS, legs_of(long), log)["flights_since_replacement"].null_count() == 9
 
 
-def test_nothing_leaks_from_the_future(replaced) -> None:
-    loss = np.cumsum(np.random.default_rng(1).normal(0.002, 0.005, 90))
-    long = pl.concat([health(loss), health(loss[::-1].copy(), pack=2)])
-    whole = described(long, replaced)
-    early = whole["departed_at"] < START + timedelta(days=20)
-    part = described(long.filter(pl.col("departed_at") < START + timedelta(days=20)), replaced)
-    assert_frame_equal(whole.filter(early), part, check_exact=False, rel_tol=1e-9, abs_tol=1e-9)
-
-
-def test_row_order_other_tails_and_no_flights_change_nothing(nothing_done) -> None:
-    loss = np.cumsum(np.random.default_rng(2).normal(0.001, 0.004, 40))
-    alone = described(health(loss), nothing_done)
-    both = pl.concat([health(loss[::-1].copy(), tail="T-AAB"), health(loss)]).sample(fraction=1.0, shuffle=True, seed=1)
-    assert_frame_equal(described(both, nothing_done).filter(pl.col("tail") == "T-AAA"), alone)
-    empty = health(np.zeros(1)).clear()
-    assert described(empty, nothing_done).height == 0
-
-
 @pytest.mark.parametrize(
     ("signal", "name"),
     [
-        ("hx_out_k", "hx_out_d_k"),
-        ("cc_flow_kg_s", "cc_flow_d_kg_s"),
-        ("cc_effective_diameter_m", "cc_effective_diameter_d_m"),
-        ("cc_speed_rad_s", "cc_speed_d_rad_s"),
-        ("ua_w_k", "ua_d_w_k"),
-        ("vda_counts", "vda_d_counts"),
-        ("cc_out_pa", "cc_out_d_pa"),
-        ("mach", "mach_d"),
+        ("hx_out_k", "hx_out_d_k"), ("cc_flow_kg_s", "cc_flow_d_kg_s"),
+        ("cc_effective_diameter_m", "cc_effective_diameter_d_m"), ("cc_speed_rad_s", "cc_speed_d_rad_s"),
+        ("ua_w_k", "ua_d_w_k"), ("vda_counts", "vda_d_counts"), ("cc_out_pa", "cc_out_d_pa"), ("mach", "mach_d"),
     ],
-)
+)  # fmt: skip
 def test_unit_ends_the_name(signal: str, name: str) -> None:
     assert residual_column(signal, "d") == name

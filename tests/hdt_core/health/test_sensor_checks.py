@@ -22,7 +22,7 @@ def witnesses(samples: pl.DataFrame, pack: int = 1) -> tuple[pl.DataFrame, pl.Da
     return out.head(FROM), out.slice(FROM)
 
 
-def test_sound_aircraft_shows_nothing(fly) -> None:
+def test_a_sound_aircraft_shows_nothing_frozen_and_empty_sensors_do(fly) -> None:
     out = cross_checks(fly(40))
     assert out.height == 80
     assert out["running"].all()
@@ -33,15 +33,11 @@ def test_sound_aircraft_shows_nothing(fly) -> None:
     assert out["door_span"].min() > 0.05
     assert out["door_peg_excess_k"].abs().max() < 1.3
     assert out["w_hx_out_between_packs_k"].std() < 2.0
-
-
-def test_frozen_and_empty_sensors(fly) -> None:
     samples = fly(40)
     fault = late(samples)
     frozen = samples.with_columns(pl.when(fault).then(0.8).otherwise(pl.col("cc_flow_kg_s")).alias("cc_flow_kg_s"))
-    empty = samples.with_columns(
-        pl.when(fault & (pl.int_range(pl.len()) % 2 == 0)).then(None).otherwise(pl.col("hx_in_k")).alias("hx_in_k")
-    )
+    every_second = fault & (pl.int_range(pl.len()) % 2 == 0)
+    empty = samples.with_columns(pl.when(every_second).then(None).otherwise("hx_in_k").alias("hx_in_k"))
     before, after = witnesses(frozen)
     assert not before["cc_flow_kg_s_still"].any()
     assert after["cc_flow_kg_s_still"].all()
@@ -170,9 +166,7 @@ def test_a_jam_stands_still_and_leaves_its_target(fly) -> None:
     samples = fly(40)
     noise = 0.005 * (pl.int_range(pl.len()) % 3 - 1)
     door = pl.when(late(samples)).then(0.4 + noise).otherwise(pl.col("ram_door_open")).alias("ram_door_open")
-    warm = (
-        pl.when(late(samples)).then(pl.col("hx_out_k") + pl.col("altitude_m") / 1000 - 6).otherwise(pl.col("hx_out_k"))
-    )
+    warm = pl.when(late(samples)).then(pl.col("hx_out_k") + pl.col("altitude_m") / 1000 - 6).otherwise("hx_out_k")
     before, after = witnesses(samples.with_columns(door, warm.alias("hx_out_k")))
     assert before["door_span"].min() > 0.05
     assert after["door_span"].max() < 0.02

@@ -104,10 +104,8 @@ def test_a_flight_asks_for_what_its_hardest_fifth_does(dsm, laws, flight):
     longer = pl.concat([flight] * 6).with_columns(pl.col("altitude_m") + 9.0 * pl.int_range(pl.len()))
     row = compressor_demand(longer, dsm, laws).row(0, named=True)
     rows = compressor_samples(cruise_samples(longer, monitored=False), dsm.pack_table())
-    inlet_k, inlet_pa, speed, vda, pack_flow, diameter = (
-        rows[c].to_numpy()
-        for c in ("inlet_k", "inlet_pa", "cc_speed_rad_s", "vda_counts", "pack_flow_kg_s", "diameter_m")
-    )
+    names = ("inlet_k", "inlet_pa", "cc_speed_rad_s", "vda_counts", "pack_flow_kg_s", "diameter_m")
+    inlet_k, inlet_pa, speed, vda, pack_flow, diameter = (rows[c].to_numpy() for c in names)
     flow = 0.5 * inlet_pa / (287.053 * inlet_k) * speed * (9.4e-4 + 3.2e-7 * (vda - 430.0))
     own = np.log(diameter / (0.175 - 2.8e-5 * vda))
     hunting = own - np.median(own)
@@ -132,19 +130,16 @@ def test_hot_and_high(dsm, laws, flight, limit_rad_s):
     # the compressor's inlet follows the air
     air = {name: float(v[0]) for name, v in reference_air(1, 12_497.0).items()}
     warmer_k = air["tat_k"] + 15.0 * (1.0 + 0.2 * 0.84**2) - at["tat_k"]
-    inlet = (
-        np.array([at["inlet_k"] + warmer_k]),
-        np.array([at["inlet_pa"] * air["total_pressure_pa"] / at["total_pressure_pa"]]),
-    )
+    warmer_pa = at["inlet_pa"] * air["total_pressure_pa"] / at["total_pressure_pa"]
+    inlet = np.array([at["inlet_k"] + warmer_k]), np.array([warmer_pa])
     there = pl.DataFrame({"altitude_m": [12_497.0]})
-    critical = [
-        least_ln_diameter(*inlet, pressure_ln(there, s * pack_flow), s * flow, limit_rad_s).item() for s in FLOWS
-    ]
+    asked = [(pressure_ln(there, s * pack_flow), s * flow) for s in FLOWS]
+    critical = [least_ln_diameter(*inlet, *one, limit_rad_s).item() for one in asked]
     assert [row[n] for n in CRITICAL_DIAMETER["hot_high"]] == pytest.approx(critical, abs=1e-5)
     assert row["cc_widest_share_hot_high"] == pytest.approx(widest_kg_s(*inlet, limit_rad_s) / flow, rel=1e-5)
 
 
-def test_no_map_limit_cruise_or_reading_costs_no_more_than_its_flight(dsm, laws, flight):
+def test_no_map_limit_cruise_reading_or_model_costs_no_more_than_its_flight(dsm, laws, flight):
     unlimited = replace(laws, speed=SpeedLimit())
     assert compressor_demand(flight, dsm, unlimited).height == 0
     assert compressor_demand(flight.with_columns(phase=pl.lit("climb")), dsm, laws).height == 0
@@ -155,9 +150,6 @@ def test_no_map_limit_cruise_or_reading_costs_no_more_than_its_flight(dsm, laws,
     demand = compressor_demand(holed, dsm, laws)
     assert demand.height == 1
     assert demand.select(CRITICAL_DIAMETER["p20"]).null_count().sum_horizontal().item() == 0
-
-
-def test_a_limit_not_met_and_a_pack_without_a_model_of_its_own(dsm, laws, flight):
     unmet = replace(laws, speed=SpeedLimit(4500.0, at_limit=False))
     assert not compressor_demand(flight, dsm, unmet)["cc_speed_limit_met"][0]
     # a stranger's sensors are taken as sound, its level as that of all

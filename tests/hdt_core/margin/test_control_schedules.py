@@ -113,15 +113,12 @@ def test_an_aircraft_has_its_own_law_from_300_samples_and_two_a_knot():
     assert learn_schedules(samples.clear()).outlet.levels == {}
 
 
-def test_sixty_flights_teach_and_no_later_one():
+def test_sixty_flights_teach_and_only_a_running_pack_in_cruise():
     samples = fleet(3, flights=61, samples=5)
     hot = pl.when(pl.col("flight_id") == "060").then(pl.col("hx_out_k") + pl.col("tat_k")).otherwise("hx_out_k")
     assert learn_schedules(samples.with_columns(hot.alias("hx_out_k"))) == learn_schedules(samples)
     last = pl.when(pl.col("flight_id") == "059").then(pl.col("hx_out_k") + pl.col("tat_k")).otherwise("hx_out_k")
     assert learn_schedules(samples.with_columns(last.alias("hx_out_k"))) != learn_schedules(samples)
-
-
-def test_only_a_running_pack_in_cruise_teaches_the_delivery():
     samples = fleet(1)
     odd = samples.tail(40)
     for changed in (

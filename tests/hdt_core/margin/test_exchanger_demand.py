@@ -40,9 +40,8 @@ def test_outlet_with_the_door_full_open_is_the_models_and_nothing_where_speed_re
     for ln_ratio, k in zip((-0.3, 0.0), outlet, strict=True):
         ua = np.exp(ln_clean_conductance(full, ram, hx.MEAN) + ln_ratio)
         assert k == outlets_k(full["pack_flow_kg_s"], ram, full["hx_in_k"], full["tat_k"], ua)[0][0]
-    np.testing.assert_array_equal(
-        *(full_open_outlet_k(cruise(ram_door_open=d), hx.MEAN, LN_RATIOS) for d in (0.1, 0.9))
-    )
+    shut, open_ = (full_open_outlet_k(cruise(ram_door_open=d), hx.MEAN, LN_RATIOS) for d in (0.1, 0.9))
+    np.testing.assert_array_equal(shut, open_)
     still = cruise(mach=0.0, total_pressure_pa=22_632.0)
     assert np.isnan(full_open_outlet_k(still, hx.MEAN, LN_RATIOS)).all()
 
@@ -138,9 +137,8 @@ def test_without_a_ram_outlet_blockage_is_unknown_and_an_unmet_pack_has_sound_se
     assert row["hx_margin_ambient_k"] == exchanger_demand(flight, dsm, laws)["hx_margin_ambient_k"][0]
     stranger = exchanger_demand(flight.with_columns(tail=pl.lit("T-99")), dsm, laws)
     sound = replace(dsm, packs=(replace(dsm.packs[0], bias=(0.0,) * 6, inlet_bias_k=0.0),))
-    assert stranger[CRITICAL[2]].to_list() == pytest.approx(
-        exchanger_demand(flight, sound, laws)[CRITICAL[2]].to_list()
-    )
+    known = exchanger_demand(flight, sound, laws)
+    assert stranger[CRITICAL[2]].to_list() == pytest.approx(known[CRITICAL[2]].to_list())
 
 
 def test_between_stored_ratios_the_outlet_is_a_straight_line_to_a_quarter_of_a_kelvin():
@@ -153,13 +151,9 @@ def test_between_stored_ratios_the_outlet_is_a_straight_line_to_a_quarter_of_a_k
         off.append(np.abs(outlet - np.interp(at, (low, high), outlet[[0, -1]])).max())
     np.testing.assert_array_less(off, [0.13, 0.028, 0.049, 0.041, 0.048, 0.054, 0.1, 0.23])
     assert CRITICAL[:3] == (
-        "critical_ln_ratio_p20_minus_20k",
-        "critical_ln_ratio_p20_minus_10k",
-        "critical_ln_ratio_p20_0k",
-    )
-    assert (CRITICAL[9], HOT_DAY[0], HOT_DAY[4]) == (
-        "critical_ln_ratio_p50_10k",
-        "critical_ln_ratio_hot_day_minus_20k",
-        "critical_ln_ratio_hot_day_10k",
-    )
+        "critical_ln_ratio_p20_minus_20k", "critical_ln_ratio_p20_minus_10k", "critical_ln_ratio_p20_0k",
+    )  # fmt: skip
+    assert CRITICAL[9] == "critical_ln_ratio_p50_10k"
+    assert HOT_DAY[0] == "critical_ln_ratio_hot_day_minus_20k"
+    assert HOT_DAY[4] == "critical_ln_ratio_hot_day_10k"
     assert EXCESS_K == (-20.0, -10.0, 0.0, 5.0, 10.0)

@@ -40,9 +40,8 @@ def passage_by_hand(ratio: float, sd: float, levels: list[float], rate: float, r
     for low, high in pairwise(EDGES):
         for i, r in enumerate(rates):
             left = ratio - r * (low + high) / 2.0
-            p_flight = sum(
-                w * NORMAL.cdf((level - left) / hypot(sd, 0.03)) for w, level in zip(WEIGHTS, levels, strict=True)
-            )
+            off = ((level - left) / hypot(sd, 0.03) for level in levels)
+            p_flight = sum(w * NORMAL.cdf(z) for w, z in zip(WEIGHTS, off, strict=True))
             log_alive[i] -= p_flight * (high - low)
         by.append(1.0 - sum(map(exp, log_alive)) / 5.0)
     return by
@@ -62,9 +61,8 @@ def test_passage_is_its_formula_and_the_share_of_lives_that_met_it():
     demand = rng.choice(LEVELS, (n, flights), p=WEIGHTS) + rng.normal(0.0, hypot(sd, 0.03), (n, flights))
     share_met = np.maximum.accumulate(demand > ratio - wear, axis=1).mean(axis=0)
     edges = np.arange(0.0, flights + 1.0)
-    by = passage(
-        *(np.full(1, v) for v in (ratio, sd)), np.array([LEVELS]), np.full(1, rate), np.full(1, rate_sd), edges
-    )
+    rates = np.full(1, rate), np.full(1, rate_sd)
+    by = passage(np.full(1, ratio), np.full(1, sd), np.array([LEVELS]), *rates, edges)
     np.testing.assert_allclose(by[0, 1:], share_met, atol=0.03)
     assert 0.3 < share_met[-1] < 0.95
     rate, sd = wear_rate(np.full(4, 0.005), np.array([0.0, 2.0, 60.0, 500.0]))
@@ -108,12 +106,10 @@ def test_passages_of_a_pack_by_the_rule_before_any_message():
 
 
 def test_no_flight_no_passage_no_trend_before_140_and_few_stand_for_the_window():
-    none = one_pack(
-        hx_ln_ua_ratio=[0.0], hx_fouling=[0.0], hx_fouling_slope_100_per_flight=[0.0], flights_seen_of_unit=[1]
-    ).clear()
-    demand = none.select("operator", "tail", "pack", "flight_id").with_columns(
-        pl.lit(0.0).alias(n) for n in CRITICAL[:5]
-    )
+    columns = {"hx_ln_ua_ratio": [0.0], "hx_fouling": [0.0], "hx_fouling_slope_100_per_flight": [0.0]}
+    none = one_pack(**columns, flights_seen_of_unit=[1]).clear()
+    keys = none.select("operator", "tail", "pack", "flight_id")
+    demand = keys.with_columns(pl.lit(0.0).alias(n) for n in CRITICAL[:5])
     assert passages(none, demand).columns == ["operator", "tail", "flight_id", "pack", *PASSAGES]
     critical = np.where(np.arange(200) < 40, 0.0, 1.0)
     assert of_flight(critical, 138)[-1] == 0.0

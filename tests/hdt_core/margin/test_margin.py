@@ -15,9 +15,8 @@ KEY = {"operator": "TST", "tail": "T", "pack": 1}
 
 
 def flights(n: int, **columns: object) -> pl.DataFrame:
-    return pl.DataFrame({"flight_id": [f"F{k:02d}" for k in range(n)]} | columns).with_columns(
-        pl.lit(v).alias(k) for k, v in KEY.items()
-    )
+    rows = pl.DataFrame({"flight_id": [f"F{k:02d}" for k in range(n)]} | columns)
+    return rows.with_columns(pl.lit(v).alias(k) for k, v in KEY.items())
 
 
 def lines(at_zero: float, per_k: float, names: tuple[str, ...]) -> dict[str, list[float]]:
@@ -60,7 +59,7 @@ def ratios(loss: list[float], ratio: list[float | None], life: list[int]) -> lis
     return frame.select(ln_ratio_margin(pl.col("seen"), "loss", "life"))[:, 0].to_list()
 
 
-def test_what_is_left_is_the_units_own_level_less_its_wear():
+def test_what_is_left_is_the_units_own_level_less_its_wear_up_to_where_map_or_speed_end():
     level = [0.001 * k for k in range(40)]
     left = ratios([0.1] * 40, [v + log(0.9) for v in level], [0] * 40)
     assert left[4] == pytest.approx(0.002 + log(0.9))  # median of what there is
@@ -68,6 +67,16 @@ def test_what_is_left_is_the_units_own_level_less_its_wear():
     assert ratios([0.2, 0.2, 0.0], [0.03 + log(0.8), None, 0.05], [0, 0, 1]) == pytest.approx(
         [0.03 + log(0.8), 0.03 + log(0.8), 0.05]  # a gap takes the level before, a new unit its own
     )
+    unmet = delivery(limit_met=False)
+    assert unmet["cc_flow_margin_status"] == "at_least"
+    assert unmet["cc_flow_margin_sd_kg_s"] is not None
+    narrow = delivery(widest=1.2)
+    assert narrow["cc_flow_margin_kg_s"] == pytest.approx(0.8 * 0.2)
+    assert narrow["cc_flow_margin_sd_kg_s"] is None
+    assert narrow["cc_flow_margin_status"] == "at_least"
+    assert narrow["cc_flow_margin_hot_high_status"] == "ok"  # 1.096 of the flow: within the map
+    rule = (PRIOR_RULE.share, PRIOR_RULE.excess_k, PRIOR_RULE.excess_sd_k, PRIOR_RULE.of, PRIOR_RULE.messages)
+    assert rule == (0.2, 7.0, 2.5, 3, 0)
 
 
 def delivery(*, loss: float = 0.04, limit_met: bool = True, widest: float = 2.0) -> dict[str, object]:
@@ -99,22 +108,6 @@ def test_compressor_margin_is_the_flow_beyond_what_is_asked():
     assert row["cc_diameter_left_sd"] == pytest.approx((1.0 - spare) * hypot(0.006, 0.0025))
     assert row["cc_diameter_left_hot_high"] == pytest.approx(1.0 - exp(-0.06 - left))
     assert (row["cc_flow_margin_status"], row["cc_flow_margin_hot_high_status"]) == ("ok", "ok")
-
-
-def test_a_margin_is_a_bound_where_map_or_speed_end_first():
-    unmet = delivery(limit_met=False)
-    assert unmet["cc_flow_margin_status"] == "at_least"
-    assert unmet["cc_flow_margin_sd_kg_s"] is not None
-    narrow = delivery(widest=1.2)
-    assert narrow["cc_flow_margin_kg_s"] == pytest.approx(0.8 * 0.2)
-    assert narrow["cc_flow_margin_sd_kg_s"] is None
-    assert narrow["cc_flow_margin_status"] == "at_least"
-    assert narrow["cc_flow_margin_hot_high_status"] == "ok"  # 1.096 of the flow: within the map
-
-
-def test_the_rule_before_any_message():
-    rule = (PRIOR_RULE.share, PRIOR_RULE.excess_k, PRIOR_RULE.excess_sd_k, PRIOR_RULE.of, PRIOR_RULE.messages)
-    assert rule == (0.2, 7.0, 2.5, 3, 0)
 
 
 CALM = np.tile([0.01, -0.01], 500)

@@ -26,12 +26,9 @@ from hdt_core.physics.terms import TERMS, correct_signals, record_signals, satur
 flows = st.floats(0.2, 3.0)
 conductances = st.floats(100.0, 4000.0)
 LAW = {
-    "hx_ua_reference_w_k": 1500.0,
-    "hx_exponent_hot": 0.6,
-    "hx_exponent_cold": 0.6,
-    "hx_hot_share": 0.5,
+    "hx_ua_reference_w_k": 1500.0, "hx_exponent_hot": 0.6, "hx_exponent_cold": 0.6, "hx_hot_share": 0.5,
     "hx_wall_share": 0.0,
-}
+}  # fmt: skip
 
 
 @given(flows, flows, st.floats(300.0, 480.0), st.floats(220.0, 290.0), conductances)
@@ -61,7 +58,7 @@ def test_fouling_warms_the_hot_outlet_and_flow_cools_it(hot_flow, ram_flow):
     assert more["hot_out_k"] < HEAT_EXCHANGER.predict({}, inputs)["hot_out_k"]
 
 
-def test_conductance_follows_the_flows():
+def test_films_gain_as_the_properties_of_air_and_conductance_follows_the_flows():
     """Balanced films of exponent 0.6: each side is worth 0.30 in ln UA, both 0.60."""
     step = 1e-6
     hot = np.log(clean_conductance_w_k(0.9 * (1 + step), 1.6, **LAW) / 1500.0) / step
@@ -70,10 +67,7 @@ def test_conductance_follows_the_flows():
     assert ram == pytest.approx(0.30, abs=1e-4)
     both = clean_conductance_w_k(1.8, 3.2, **LAW)
     assert both == pytest.approx(1500.0 * 2.0**0.6, rel=1e-12)
-
-
-def test_films_gain_as_the_properties_of_air():
-    """k^0.67 mu^-0.27 from CoolProp's properties, against the power law, over what a pack sees."""
+    # k^0.67 mu^-0.27 from CoolProp's properties, against the power law, over what a pack sees.
 
     def film(temperature_k):
         conductivity, viscosity = (PropsSI(key, "T", temperature_k, "P", 1e5, "Air") for key in "LV")
@@ -92,25 +86,19 @@ def test_a_wall_alone_does_not_care_for_flow_and_impossible_temperatures_have_no
     assert np.isnan(measured_conductance_w_k(1.6, 0.9, 390.0, 290.0, 250.0))
 
 
-def test_what_a_loss_does_to_the_outlet():
+def test_what_a_loss_does_and_design_knowledge_are_those_on_paper():
     """Cross-flow, UA 1500 W/K, door fixed: 10 % moves the hot outlet by 3.7 K, 30 % by 13 K (docs/errata.md)."""
     nominal = outlets_k(0.9, 1.6, 390.0, 250.0, 1500.0)[0]
     assert outlets_k(0.9, 1.6, 390.0, 250.0, 1350.0)[0] - nominal == pytest.approx(3.7, abs=0.3)
     assert outlets_k(0.9, 1.6, 390.0, 250.0, 1050.0)[0] - nominal == pytest.approx(13.0, abs=1.0)
-
-
-def test_design_knowledge_is_that_on_paper():
-    """Deviations as declared; of a share of resistance and a film's temperature, start and range too."""
+    # Deviations as declared; of a share of resistance and a film's temperature, start and range too.
     sds = (0.5, 0.05, 0.05, 0.3, 0.05, 0.15, 0.7, 0.4, 0.15, 0.25, 0.4, 0.1)
     assert tuple(p.sd for p in DESIGN) == sds
     own = {p.name: (p.nominal, *p.bounds) for p in DESIGN}
     assert own["hot_share_logit"] == (0.0, -1.5, 1.5)
     assert own["film_temperature_exponent"] == (0.15, -0.5, 0.8)
     assert own["ln_rest_area"] == pytest.approx(tuple(np.log((0.025, 0.0025, 0.6))))
-
-
-def test_an_installed_core_conducts_by_the_mean_temperature_of_its_films():
-    """Hot flow at twice 0.9 kg/s, ram flow at four times 1.6; films of 45 % of the resistance each, a wall of 10 %."""
+    # Hot flow at twice 0.9 kg/s, ram flow at four times 1.6; films of 45 % of the resistance each, a wall of 10 %.
     law = {"ln_ua_reference": np.log(1500.0), "hx_exponent_hot": 0.6, "hx_exponent_cold": 0.5, "hx_wall_share": 0.1}
     design = np.array([[(law | {"film_temperature_exponent": 0.7}).get(name, 0.0)] for name in NAMES])
     signals = {"pack_flow_kg_s": np.array([1.8]), "hx_in_k": np.array([450.0]), "tat_k": np.array([250.0])}
@@ -222,20 +210,15 @@ def test_spray_cools_the_air_by_airspeed_and_without_a_term_nothing_changes():
     with pytest.raises(KeyError):
         correct_signals(TRUTH, {"unheard_of": 1.0})
     for temperature_k in (275.0, 290.0, 320.0):
-        assert saturation_pressure_pa(temperature_k) == pytest.approx(
-            PropsSI("P", "T", temperature_k, "Q", 0, "Water"), rel=5e-3
-        )
+        theirs = PropsSI("P", "T", temperature_k, "Q", 0, "Water")
+        assert saturation_pressure_pa(temperature_k) == pytest.approx(theirs, rel=5e-3)
 
 
 TRUTH = {
-    "altitude_m": np.array([9500.0, 11000.0]),
-    "mach": np.array([0.80, 0.85]),
-    "tat_k": np.array([243.0, 262.0]),
-    "total_pressure_pa": np.array([44e3, 36e3]),
-    "hx_in_k": np.array([380.0, 410.0]),
-    "hx_out_k": np.array([292.0, 301.0]),
-    "pack_flow_kg_s": np.array([0.7, 0.85]),
-}
+    "altitude_m": np.array([9500.0, 11000.0]), "mach": np.array([0.80, 0.85]), "tat_k": np.array([243.0, 262.0]),
+    "total_pressure_pa": np.array([44e3, 36e3]), "hx_in_k": np.array([380.0, 410.0]),
+    "hx_out_k": np.array([292.0, 301.0]), "pack_flow_kg_s": np.array([0.7, 0.85]),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", TERMS)
@@ -256,9 +239,8 @@ def test_shapes_and_bounds_on_paper():
         "flow_leak": TRUTH["pack_flow_kg_s"] * (1.0 - outside_pa / 80e3),
         "inlet_gain": TRUTH["hx_in_k"] - 390.0, "outlet_conduction": TRUTH["tat_k"] - TRUTH["hx_out_k"],
     }  # fmt: skip
-    assert {name: term.shape(TRUTH) for name, term in TERMS.items()} == {
-        name: pytest.approx(shape, rel=1e-3) for name, shape in shapes.items()
-    }
+    expected = {name: pytest.approx(shape, rel=1e-3) for name, shape in shapes.items()}
+    assert {name: term.shape(TRUTH) for name, term in TERMS.items()} == expected
     assert [term.bounds for term in TERMS.values()] == [(-0.5, 1.0), *[(-0.5, 0.5)] * 3]
     assert within("water_spray", 7.0) == 1.0
     assert within("water_spray", -7.0) == -0.5

@@ -36,9 +36,12 @@ def test_more_door_is_more_flow_whatever_its_shape(low, high):
     assert area[-1] == pytest.approx(0.05, rel=1e-14)
 
 
-def test_the_straight_door_is_straight():
+def test_a_straight_door_is_straight_between_its_ends():
     door = np.linspace(0.0, 1.0, 11)
     np.testing.assert_allclose(door_area_m2(door, 0.01, 0.03, 1 / 3, 0.5), 0.01 + 0.02 * door, rtol=1e-14)
+    design = np.array([[p.nominal] for p in DESIGN])
+    flows = clean_ram_flow_kg_s(cruise(ram_door_open=np.array([-0.02, 0.0, 1.0, 1.02])), design)
+    assert flows[0] == flows[1] < flows[2] == flows[3]
 
 
 @given(st.floats(0.005, 0.3), st.floats(0.005, 0.3))
@@ -48,48 +51,30 @@ def test_restrictions_in_series(first, second):
     assert series_area_m2(first, first) == pytest.approx(first / np.sqrt(2.0))
 
 
-def test_mass_flow_is_density_times_velocity_in_the_throat():
+def test_a_throat_passes_density_times_velocity_until_choked_and_none_without_head():
     total_pa, exit_pa, total_k = 60e3, 45e3, 270.0
     ratio = exit_pa / total_pa
     throat_k = total_k * ratio ** (0.4 / 1.4)
     velocity = np.sqrt(7.0 * R_J_KG_K * (total_k - throat_k))
     expected = 0.03 * exit_pa / (R_J_KG_K * throat_k) * velocity
     assert compressible_flow_kg_s(0.03, total_pa, exit_pa, total_k) == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_choked_throat_passes_no_more():
     exit_pa = np.array([52.8e3, 40e3, 10e3])
     flow = compressible_flow_kg_s(0.01, 100e3, exit_pa, 300.0)
     np.testing.assert_allclose(flow, flow[0], rtol=1e-6)
     np.testing.assert_allclose(flow[0], 0.040418 * 0.01 * 100e3 / np.sqrt(300.0), rtol=1e-4)
-
-
-def test_no_flow_without_head():
     assert RAM_DUCT.predict({}, cruise(total_pressure_pa=float(standard_pressure_pa(11887.0))))["ram_flow_kg_s"] == 0.0
     assert compressible_flow_kg_s(0.01, 100e3, 101e3, 300.0) == 0.0
 
 
-def test_cruise_flow_is_of_the_size_of_a_pack_s():
+def test_a_cruise_flow_is_of_a_packs_size_more_in_colder_air_by_mach_without_altitude():
     areas = {"ram_area_closed_m2": 0.004, "ram_area_open_m2": 0.05, "ram_core_area_m2": 0.04, "ram_exit_area_m2": 0.06}
     textbook = RAM_DUCT.calibrated(areas | {"ram_door_high": 0.5, "ram_recovery": 0.9})
     shut, open_ = textbook.predict({}, cruise(ram_door_open=np.array([0.05, 0.6])))["ram_flow_kg_s"]
     assert 0.3 < shut < 1.5 < open_ < 3.5
     nominal = RAM_DUCT.predict({}, cruise(ram_door_open=0.6))["ram_flow_kg_s"]
     assert 1.0 < nominal < 2.0
-
-
-def test_a_door_that_reads_beyond_its_ends_is_at_them():
-    design = np.array([[p.nominal] for p in DESIGN])
-    flows = clean_ram_flow_kg_s(cruise(ram_door_open=np.array([-0.02, 0.0, 1.0, 1.02])), design)
-    assert flows[0] == flows[1] < flows[2] == flows[3]
-
-
-def test_static_pressure_without_altitude_comes_from_mach():
     inputs = cruise()
     missing = static_pressure_pa(np.array([np.nan]), 0.85, inputs["total_pressure_pa"])
     np.testing.assert_allclose(missing, static_pressure_pa(np.array([11887.0]), 0.85, 0.0), rtol=1e-12)
-
-
-def test_colder_air_is_more_air():
     cold, warm = (RAM_DUCT.predict({}, cruise(tat_k=t))["ram_flow_kg_s"] for t in (240.0, 260.0))
     assert cold / warm == pytest.approx(np.sqrt(260.0 / 240.0), rel=1e-12)

@@ -12,31 +12,14 @@ from hdt_core.physics.installed_exchanger import RAM_DUCT
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 
 MODELS = [
-    COMPRESSOR,
-    CORE_EXCHANGER,
-    HEAT_EXCHANGER,
-    RAM_DUCT,
-    lumped_exchanger("quasi_steady"),
-    lumped_exchanger("exact"),
-    lumped_exchanger("euler"),
-    lumped_exchanger("tustin"),
-]
+    COMPRESSOR, CORE_EXCHANGER, HEAT_EXCHANGER, RAM_DUCT, lumped_exchanger("quasi_steady"), lumped_exchanger("exact"),
+    lumped_exchanger("euler"), lumped_exchanger("tustin"),
+]  # fmt: skip
 TYPICAL = {
-    "force_n": 1.0,
-    "hot_flow_kg_s": 0.9,
-    "ram_flow_kg_s": 1.6,
-    "hot_in_k": 390.0,
-    "cold_in_k": 250.0,
-    "cc_speed_rad_s": 3194.0,
-    "cc_in_k": 251.0,
-    "cc_in_pa": 37.6e3,
-    "vda_counts": 300.0,
-    "ram_door_open": 0.3,
-    "total_pressure_pa": 37.6e3,
-    "tat_k": 250.0,
-    "altitude_m": 10668.0,
-    "mach": 0.85,
-}
+    "force_n": 1.0, "hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k": 250.0,
+    "cc_speed_rad_s": 3194.0, "cc_in_k": 251.0, "cc_in_pa": 37.6e3, "vda_counts": 300.0, "ram_door_open": 0.3,
+    "total_pressure_pa": 37.6e3, "tat_k": 250.0, "altitude_m": 10668.0, "mach": 0.85,
+}  # fmt: skip
 each_model = pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 
 
@@ -49,7 +32,7 @@ def doubled(*, x, gain):
 
 
 @each_model
-def test_outputs_broadcast_over_flights_and_samples(model):
+def test_outputs_broadcast_and_nominal_values_lie_within_bounds(model):
     some = model.params[0]
     batch = {some.name: np.array([[0.9], [1.0]]) * some.nominal}
     inputs = {name: np.full(3, value) for name, value in typical(model).items()}
@@ -57,6 +40,9 @@ def test_outputs_broadcast_over_flights_and_samples(model):
     for name, value in model.predict(batch, inputs).items():
         full = np.broadcast_to(value, (2, 3))
         np.testing.assert_allclose(full[0], one[name], rtol=1e-13)
+    for param, (low, high) in zip(model.params, model.bounds(), strict=True):
+        assert low < param.nominal < high or param.nominal == low == 0.0
+        assert param.role == "design" or (param.nominal == 0.0 and low < 0.0 and param.drift > 0.0)
 
 
 @each_model
@@ -77,13 +63,6 @@ def test_equations_differentiate_by_complex_step(model):
         central = (outputs(param.nominal + step) - outputs(param.nominal - step)) / (2.0 * step)
         scale = np.abs(outputs(param.nominal)) / width
         np.testing.assert_allclose(central, exact, rtol=1e-5, atol=1e-7 * float(np.max(scale)))
-
-
-@each_model
-def test_nominal_values_lie_within_bounds_and_losses_start_at_zero(model):
-    for param, (low, high) in zip(model.params, model.bounds(), strict=True):
-        assert low < param.nominal < high or param.nominal == low == 0.0
-        assert param.role == "design" or (param.nominal == 0.0 and low < 0.0 and param.drift > 0.0)
 
 
 SENSORS = {
@@ -133,35 +112,29 @@ def test_sensors_and_ranges_are_those_on_paper():
     assert [s.sigma for s in SPRAYED.outputs] == [3.0]
 
 
-def test_roles_divide_the_parameters():
+def test_roles_divide_the_parameters_and_a_calibrated_model_differs_in_its_values_alone():
     health = {p.name for p in COMPRESSOR.free("health")}
     design = {p.name for p in COMPRESSOR.free("design")}
     assert health == {"cc_diameter_loss", "cc_efficiency_loss"}
     assert not health & design
     assert health | design == set(COMPRESSOR.nominal)
     assert COMPRESSOR.bounds("health").shape == (2, 2)
-
-
-@pytest.mark.parametrize(("upper", "is_share"), [(0.999, True), (1.0, False), (1.1, False)])
-def test_a_share_can_not_reach_one(upper, is_share):
-    assert Param("loss", "-", 0.0, (-0.1, upper), "health").is_share is is_share
-
-
-def test_calibrated_model_differs_in_nothing_but_the_value():
     sold = HEAT_EXCHANGER.calibrated({"hx_ua_reference_w_k": 1800.0})
     assert sold.nominal == {**HEAT_EXCHANGER.nominal, "hx_ua_reference_w_k": 1800.0}
     assert HEAT_EXCHANGER.nominal["hx_ua_reference_w_k"] == 1700.0
     with pytest.raises(KeyError, match="no parameter ua"):
         HEAT_EXCHANGER.calibrated({"ua": 1.0})
-
-
-def test_missing_inputs_and_taken_names_are_named():
     with pytest.raises(KeyError, match="mach"):
         RAM_DUCT.predict({}, {k: v for k, v in typical(RAM_DUCT).items() if k != "mach"})
     with pytest.raises(ValueError, match="differ in gain"):
         PhysicsModel("m", (Signal("x", "-"),), (Signal("y", "-"),), (), doubled)
     with pytest.raises(ValueError, match="differ in slope"):
         PhysicsModel("m", (Signal("x", "-"),), (Signal("y", "-"),), (), lambda *, slope, **values: slope)
+
+
+@pytest.mark.parametrize(("upper", "is_share"), [(0.999, True), (1.0, False), (1.1, False)])
+def test_a_share_can_not_reach_one(upper, is_share):
+    assert Param("loss", "-", 0.0, (-0.1, upper), "health").is_share is is_share
 
 
 @pytest.mark.parametrize(
@@ -172,11 +145,8 @@ def test_missing_inputs_and_taken_names_are_named():
     ],
 )
 def test_contradictions_are_refused(change, message):
-    parts = {
-        "inputs": (Signal("x", "-"),),
-        "outputs": (Signal("y", "-"),),
-        "params": (Param("gain", "-", 1.0, (0.0, 2.0), "design"),),
-    }
+    gain = Param("gain", "-", 1.0, (0.0, 2.0), "design")
+    parts = {"inputs": (Signal("x", "-"),), "outputs": (Signal("y", "-"),), "params": (gain,)}
     with pytest.raises(ValueError, match=message):
         PhysicsModel("m", equations=doubled, **(parts | change))
 
@@ -184,14 +154,11 @@ def test_contradictions_are_refused(change, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((3.0, (0.0, 2.0), "design"), "outside its bounds"),
-        ((-0.1, (0.0, 2.0), "design"), "outside its bounds"),
-        ((0.0, (0.0, 2.0), "health"), "below 0"),
-        ((-0.1, (-1.0, 2.0), "health"), "below 0"),
-        ((1.0, (0.0, 2.0), "design", 0.0, 0.0), "is none"),
-        ((0.0, (-1.0, 2.0), "health", -0.1), "negative"),
+        ((3.0, (0.0, 2.0), "design"), "outside its bounds"), ((-0.1, (0.0, 2.0), "design"), "outside its bounds"),
+        ((0.0, (0.0, 2.0), "health"), "below 0"), ((-0.1, (-1.0, 2.0), "health"), "below 0"),
+        ((1.0, (0.0, 2.0), "design", 0.0, 0.0), "is none"), ((0.0, (-1.0, 2.0), "health", -0.1), "negative"),
     ],
-)
+)  # fmt: skip
 def test_parameters_that_cannot_be_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Param("p", "-", *arguments)

@@ -66,17 +66,11 @@ def _columns(lives: Episodes) -> list[np.ndarray]:
 
 def _messages(rows: list[tuple[object, ...]]) -> pl.DataFrame:
     schema = {"message_time": pl.Datetime("us", "UTC"), "flight_id": pl.String, "pack": pl.Int32, "tail": pl.String}
-    return pl.DataFrame(rows, schema=schema, orient="row").with_columns(
-        operator=pl.lit("XXX"), code=pl.lit("21-52-HXTEMP"), text=pl.lit("PACK TEMPERATURE HIGH")
-    )
+    own = {"operator": "XXX", "code": "21-52-HXTEMP", "text": "PACK TEMPERATURE HIGH"}
+    return pl.DataFrame(rows, schema=schema, orient="row").with_columns(pl.lit(v).alias(k) for k, v in own.items())
 
 
 def _maintenance(rows: list[tuple[object, ...]]) -> pl.DataFrame:
     frame = pl.DataFrame(rows, schema={"done_on": pl.Date, "pack": pl.Int32, "tail": pl.String}, orient="row")
-    return frame.with_columns(
-        operator=pl.lit("XXX"),
-        component=pl.lit("HX"),
-        action=pl.lit("REPLACED"),
-        finding=pl.lit("FOULED"),
-        reference=pl.lit("WO1"),
-    )
+    own = {"operator": "XXX", "component": "HX", "action": "REPLACED", "finding": "FOULED", "reference": "WO1"}
+    return frame.with_columns(pl.lit(v).alias(k) for k, v in own.items())

@@ -82,17 +82,14 @@ def learned():
     return [fit_hazard(features, left, np.ones(800, bool), seed, rises=(1, 0)) for seed in (0, 1)]
 
 
-def test_hazards_are_the_mean_of_models_that_may_only_rise(learned):
+def test_hazards_are_the_mean_of_declared_learners_that_may_only_rise(learned):
     grid = np.column_stack([np.linspace(-1, 1, 21), np.zeros(21)])
     each = [hazards([m], grid) for m in learned]
     np.testing.assert_allclose(hazards(learned, grid), (each[0] + each[1]) / 2.0)
     assert (np.diff(each[0], axis=0) >= 0.0).all()
     assert (each[0][-1] > 1.5 * each[0][0]).all()
     assert np.abs(each[0] - each[1]).max() > 0.0
-
-
-def test_the_learner_is_as_declared(learned):
-    """Small trees, many rows a leaf, no early stop: chosen on simulated fleets, so a change wants them flown again."""
+    # Small trees, many rows a leaf, no early stop: chosen on simulated fleets, so a change wants them flown again.
     chosen = {
         "max_iter": 150, "learning_rate": 0.08, "max_leaf_nodes": 12, "min_samples_leaf": 400, "max_features": 0.4,
         "l2_regularization": 1.0, "early_stopping": False, "monotonic_cst": [1, 0, 0], "random_state": 1,
@@ -246,7 +243,7 @@ def test_where_units_leave_for_other_reasons_lives_are_weighed_by_the_chance_to_
         life_bounds([1.0, 2.0], [False, False])
 
 
-def test_learned_hazard_recovers_a_known_one_in_spite_of_censoring():
+def test_a_hazard_is_learned_in_spite_of_censoring_and_asked_once_a_cut():
     rng = np.random.default_rng(1)
     rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 8000))
     death, cut = rng.exponential(1.0 / rate), rng.uniform(0.0, 200.0, 8000)
@@ -255,9 +252,6 @@ def test_learned_hazard_recovers_a_known_one_in_spite_of_censoring():
         near = np.log(true_rate) + np.linspace(-0.2, 0.2, 200)[:, None]
         p_50 = event_by(hazards([model], near))[:, EDGES.tolist().index(50.0)].mean()
         assert p_50 == pytest.approx(1.0 - np.exp(-true_rate * 50.0), abs=0.04)
-
-
-def test_trees_asked_once_a_cut_say_what_each_row_and_span_asked_alone_says():
     rng = np.random.default_rng(4)
     rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 4000))
     model = fit_hazard(np.log(rate)[:, None], rng.exponential(1.0 / rate), np.ones(4000, bool), seed=0)
@@ -287,12 +281,10 @@ def test_scores_are_proper_count_pairs_and_give_base_rates_no_skill():
 def test_where_every_unit_outlived_the_figures_of_failures_are_left_out():
     prognoses = pl.DataFrame(
         {
-            "remaining": [320.0, 400.0],
-            "rul_flights": [280.0, 300.0],
-            "rul_low": [150.0, 200.0],
+            "remaining": [320.0, 400.0], "rul_flights": [280.0, 300.0], "rul_low": [150.0, 200.0],
             "rul_high": [300.0, 300.0],
         }
-    ).with_columns(failed=False, life=pl.Series([0, 1]), event_50=0.0, p_event_50=0.01)
+    ).with_columns(failed=False, life=pl.Series([0, 1]), event_50=0.0, p_event_50=0.01)  # fmt: skip
     scores = score_prognoses(prognoses)
     assert scores["mae_flights"] == 10.0
     assert scores["coverage"] == 1.0

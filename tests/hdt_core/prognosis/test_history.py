@@ -27,7 +27,7 @@ def slope(level: np.ndarray, first: int, last: int) -> float:
 WAVY = 0.1 + 1e-3 * np.arange(120) + 0.01 * np.sin(0.7 * np.arange(120))
 
 
-def test_slopes_are_least_squares_over_their_windows():
+def test_slopes_are_least_squares_of_a_unit_whoever_flies_beside_it():
     values = record(WAVY)
     for window in (10, 30, 100):
         assert values[f"slope_{window}"][119] == pytest.approx(slope(WAVY, 120 - window, 119))
@@ -35,6 +35,16 @@ def test_slopes_are_least_squares_over_their_windows():
     assert values["slope_life"][119] == pytest.approx(slope(WAVY, 0, 119))
     assert values["slope_life"][3] == 0.0 != values["slope_life"][4]
     assert values["bend"][119] == pytest.approx(values["slope_30"][119] - values["slope_100"][119])
+    # However many units are looked at together, to the last digit.
+    level = track(2 * UNITS_AT_ONCE + 3, 40)
+    panel = Panel(level, *(np.full_like(level, k) for k in (0.02, 10.0, -0.3, 2.0, 1.0, 0.2, 100.0)))
+    unit, flight = (i.ravel() for i in np.indices(level.shape))
+    mixed = np.random.default_rng(1).permutation(unit.size)
+    together = record_rows(panel, (unit[mixed], flight[mixed]))
+    for k in (0, UNITS_AT_ONCE - 1, UNITS_AT_ONCE, len(level) - 1):
+        alone = Panel(*(getattr(panel, f.name)[k : k + 1] for f in fields(Panel)))
+        own = unit[mixed] == k
+        np.testing.assert_array_equal(together[own], record_rows(alone, (np.zeros(own.sum(), int), flight[mixed][own])))
 
 
 @pytest.mark.parametrize(("drop", "begins"), [(0.034, 0), (0.036, 60)])
@@ -153,9 +163,8 @@ def features(level: np.ndarray, demand: np.ndarray | None = None) -> dict[str, n
     """Each feature over (units, flights), each unit on a pack of its own."""
     age = np.broadcast_to(np.arange(level.shape[1], dtype=float), level.shape)
     hot = 10.0 * np.clip(level, 0.0, 1.0)
-    panel = Panel(
-        level, np.full_like(level, 0.02), age, np.log1p(-np.clip(level, 0.0, 0.9)), hot, 0.5 * hot, 0.1 * hot, age
-    )
+    ratio = np.log1p(-np.clip(level, 0.0, 0.9))
+    panel = Panel(level, np.full_like(level, 0.02), age, ratio, hot, 0.5 * hot, 0.1 * hot, age)
     rng = np.random.default_rng(5)
     demand = -0.6 + 0.1 * rng.standard_normal((len(level), 400))[:, : level.shape[1]] if demand is None else demand
     at = tuple(i.ravel() for i in np.indices(level.shape))
@@ -169,16 +178,3 @@ def test_nothing_from_the_future(cut):
     whole, early = features(level), features(level[:, :cut])
     for name in FEATURES:
         np.testing.assert_allclose(whole[name][:, :cut], early[name], atol=1e-9, err_msg=name)
-
-
-def test_what_a_unit_shows_does_not_hang_on_who_flies_beside_it():
-    """However many units are looked at together, to the last digit."""
-    level = track(2 * UNITS_AT_ONCE + 3, 40)
-    panel = Panel(level, *(np.full_like(level, k) for k in (0.02, 10.0, -0.3, 2.0, 1.0, 0.2, 100.0)))
-    unit, flight = (i.ravel() for i in np.indices(level.shape))
-    mixed = np.random.default_rng(1).permutation(unit.size)
-    together = record_rows(panel, (unit[mixed], flight[mixed]))
-    for k in (0, UNITS_AT_ONCE - 1, UNITS_AT_ONCE, len(level) - 1):
-        alone = Panel(*(getattr(panel, f.name)[k : k + 1] for f in fields(Panel)))
-        own = unit[mixed] == k
-        np.testing.assert_array_equal(together[own], record_rows(alone, (np.zeros(own.sum(), int), flight[mixed][own])))

@@ -85,15 +85,12 @@ def test_a_rule_is_found_again(excess_k, of):
     assert rule.of == of
 
 
-def test_without_any_message_the_prior_stands():
+def test_without_any_message_the_prior_stands_where_two_of_three_are_as_likely_as_all_else():
     overheat, message = lives(8, 5.0, 3)
     rule = learn_rules(overheat, np.full_like(message, -1), np.full(8, "XXX"))["XXX"]
     assert rule.excess_k == pytest.approx(PRIOR.excess_k, abs=0.3)
     assert rule.of == PRIOR.of
-
-
-def test_before_any_message_two_flights_of_three_are_as_likely_as_all_else():
-    """What is exact counts half; near, missed and spurious are rarer, in this order of likelihood."""
+    # What is exact counts half; near, missed and spurious are rarer, in this order of likelihood.
     prior = recalibrate.PERSISTENCE_PRIOR
     assert (prior[1], prior[2], prior[3], sum(prior.values())) == (0.25, 0.25, 0.5, 1.0)
     onsets, message = np.array([[10], [13], [14], [-1], [-1], [5]]), np.array([[10], [10], [10], [10], [-1], [-1]])

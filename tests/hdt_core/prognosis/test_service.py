@@ -102,9 +102,8 @@ def test_each_tail_is_judged_by_what_the_others_taught(fleet, base, at_once):
         == whole.features["tail"].unique().sort().to_list()
     )
     past = whole.as_of(start_of(month))
-    others = FleetRecord(
-        *(f.filter(~pl.col("tail").is_in(own_fold.tails)) for f in (past.features, past.messages, past.maintenance))
-    )
+    frames = (past.features, past.messages, past.maintenance)
+    others = FleetRecord(*(f.filter(~pl.col("tail").is_in(own_fold.tails)) for f in frames))
     (alone,) = fit_component(base, tracks(others.features, others.lives(), "HX"), "HX", [])
     assert alone.failures == own_fold.fits["HX"].failures
     np.testing.assert_allclose(alone.correction.weights, own_fold.fits["HX"].correction.weights, atol=1e-9)
@@ -138,9 +137,8 @@ def test_few_late_flights_are_scored_at_once_and_learned_from_next_month(fleet, 
     marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
     after = update_model(base, marked, whole.as_of(IN_MARCH))
     february, march = (date(2024, m, 1) for m in (2, 3))
-    assert {m: own.model.version for m, own in after.months.items()} == {
-        m: own.model.version for m, own in first.months.items()
-    }
+    stays = {m: own.model.version for m, own in first.months.items()}
+    assert {m: own.model.version for m, own in after.months.items()} == stays
     assert after.months[march].digest == first.months[march].digest  # it stays on record what was learned from
     assert after.months[march].service["late_flights_not_learned_from"] == 2  # of two packs
     assert after.months[february].service["late_flights_not_learned_from"] == 0

@@ -69,15 +69,22 @@ def test_a_model_learns_again_where_one_in_a_hundred_is_another(change, why):
     assert TrainingDigest(**json.loads(json.dumps(asdict(DIGEST)))) == DIGEST
 
 
-def test_flights_not_learned_are_those_that_came():
+def test_flights_not_learned_are_those_that_came_and_no_later_flight_bends_a_curve():
     now = replace(DIGEST, flights={"O|A|1": 903, "O|B|1": 90, "O|C|1": 5})
     assert flights_not_learned(now, DIGEST) == 8
+    per_k = np.array([[np.nan, 0.1, 0.3, np.nan, 0.2], [np.nan] * 5])
+    want = [LN_RATIO_PER_K, 0.1, 0.2, 0.2, 0.2]
+    np.testing.assert_allclose(_trailing_median(per_k), [want, [LN_RATIO_PER_K] * 5])
+    assert interval_score([5.0], [6.0], [8.0], 0.5).tolist() == [2.0 + 4.0]
+    t = np.arange(11.0)
+    low, high = 1.0, 9.0
+    missed = np.maximum(low - t, 0) + np.maximum(t - high, 0)
+    assert constant_interval_score(t, 0.2) == pytest.approx(np.mean((high - low) + 10 * missed))
 
 
 def flown(n: int, tail: str = "T-1", first: datetime = datetime(2024, 1, 1, 6, tzinfo=UTC), **columns) -> pl.DataFrame:
-    frame = pl.DataFrame(
-        {"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": [first + timedelta(k) for k in range(n)]}
-    )
+    at = [first + timedelta(k) for k in range(n)]
+    frame = pl.DataFrame({"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": at})
     named = frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
     return named.with_columns(**{c: pl.Series(v) if isinstance(v, list) else pl.lit(v) for c, v in columns.items()})
 
@@ -226,9 +233,8 @@ def test_a_version_is_a_digest_of_all_that_was_learned():
     assert {len(v) for v in versions} == {12}
     assert with_version(base, learned[1]).version == versions[1]
     assert from_parts(to_parts(base)) == base
-    card = model_card(
-        with_version(base, {"CC": replace(fit, failures=3, lives=7), "HX": ComponentFit(PRIOR_RULES["HX"])})
-    )
+    fits = {"CC": replace(fit, failures=3, lives=7), "HX": ComponentFit(PRIOR_RULES["HX"])}
+    card = model_card(with_version(base, fits))
     assert (card["failures"], card["lives"], card["scores"]) == ({"CC": 3, "HX": 0}, {"CC": 7, "HX": 0}, {})
     assert card["message"]["CC"] == asdict(PRIOR_RULES["CC"])
     frame = pl.DataFrame({"departed_at": [datetime(2024, 1, 31, 23, tzinfo=UTC), datetime(2024, 2, 1, tzinfo=UTC)]})
@@ -262,18 +268,3 @@ def test_a_units_own_trend_counts_by_the_flights_it_was_seen_over(slope, n_seen,
     rate = wear_rate(np.array([slope or 0.0]), np.array([flights]), usual, usual)
     want = first_passage(np.array([0.1]), np.array([0.01]), *rate, limit, np.array([True]))
     np.testing.assert_allclose(_event_by(rows, limit, part, np.array([True])), want)
-
-
-def test_how_steep_a_packs_curves_usually_are_no_later_flight_says():
-    per_k = np.array([[np.nan, 0.1, 0.3, np.nan, 0.2], [np.nan] * 5])
-    want = [LN_RATIO_PER_K, 0.1, 0.2, 0.2, 0.2]
-    np.testing.assert_allclose(_trailing_median(per_k), [want, [LN_RATIO_PER_K] * 5])
-
-
-def test_interval_scores_of_one_forecast_and_of_a_constant():
-    assert interval_score([5.0], [6.0], [8.0], 0.5).tolist() == [2.0 + 4.0]
-    t = np.arange(11.0)
-    low, high = 1.0, 9.0
-    assert constant_interval_score(t, 0.2) == pytest.approx(
-        np.mean((high - low) + 10 * (np.maximum(low - t, 0) + np.maximum(t - high, 0)))
-    )

@@ -24,9 +24,8 @@ HX_CODE, CC_CODE = "21-52-HXTEMP", "21-51-CCFLOW"
 
 def flown(n: int, tail: str = "T-1", **columns: object) -> pl.DataFrame:
     """A flight a day of pack 1."""
-    frame = pl.DataFrame(
-        {"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": [START + timedelta(k) for k in range(n)]}
-    )
+    at = [START + timedelta(k) for k in range(n)]
+    frame = pl.DataFrame({"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": at})
     named = frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
     return named.with_columns(**{c: pl.Series(v) if isinstance(v, list) else pl.lit(v) for c, v in columns.items()})
 
@@ -93,7 +92,7 @@ def test_lives_are_told_with_what_ended_them():
     assert rows["life_id"].to_list() == [0] * 60 + [1] * 40
 
 
-def test_prognoses_are_judged_by_what_became_of_them():
+def test_prognoses_are_judged_by_what_became_of_them_operator_by_operator():
     """An event within 50 flights, none, or nobody knows."""
     features = flown(160)
     lives = episodes(features, faults_on((60, HX_CODE)), log((69, "HX", "REPLACED", "FOULED")))
@@ -103,10 +102,7 @@ def test_prognoses_are_judged_by_what_became_of_them():
     assert [by_flight[f"T-1_{k:03d}"] for k in (0, 9, 10, 59, 70, 109, 110, 159)] == [0, 0, 1, 1, 0, 0, None, None]
     assert "T-1_060" not in by_flight  # the message's own flight
     assert "T-1_065" not in by_flight  # flown with the unit after its message
-
-
-def test_one_tail_and_flight_of_two_operators_are_two():
-    """Delivered under both, reported under one: the other's pack has not failed, and each is scored by its own life."""
+    # Delivered under both, reported under one: the other's pack has not failed, and each is scored by its own life.
     features = pl.concat([flown(160), flown(160, operator="BBB")])
     entries = log((69, "HX", "REPLACED", "FOULED"))
     entries = pl.concat([entries, entries.with_columns(operator=pl.lit("BBB"))])
@@ -139,9 +135,8 @@ CC = components()["CC"]
 
 
 def described(n: int, tail: str, loss: float) -> pl.DataFrame:
-    return flown(
-        n, tail, component="CC", loss=loss, loss_sd=0.01, loss_slope_100_per_flight=2e-4, flights_seen_of_unit=29
-    )
+    own = {"component": "CC", "loss_sd": 0.01, "loss_slope_100_per_flight": 2e-4, "flights_seen_of_unit": 29}
+    return flown(n, tail, loss=loss, **own)
 
 
 def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
@@ -173,9 +168,8 @@ def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
         assert row["rul_flights"] == pytest.approx(quantile(by, 0.5)[0])
         assert (row["rul_low"], row["rul_high"]) == pytest.approx((quantile(by, 0.05)[0], quantile(by, 0.95)[0]))
         assert row["beyond_horizon"] == (row["rul_flights"] >= 300.0)
-    versions = (
-        prognoses.filter(tail="T-3").group_by(pl.col("departed_at").dt.month()).agg(pl.col("model_version").unique())
-    )
+    months = prognoses.filter(tail="T-3").group_by(pl.col("departed_at").dt.month())
+    versions = months.agg(pl.col("model_version").unique())
     assert versions["model_version"].list.len().to_list() == [1] * 4
     assert versions["model_version"].explode().n_unique() == 4
 
@@ -203,9 +197,8 @@ def margin(n: int) -> dict[str, object]:
 
 
 def test_tracks_are_cut_into_lives():
-    features = flown(100, **margin(100)).with_columns(
-        pl.when(pl.int_range(100).is_in([0, 5])).then(None).otherwise("hx_fouling").alias("hx_fouling")
-    )
+    gaps = pl.when(pl.int_range(100).is_in([0, 5])).then(None).otherwise("hx_fouling")
+    features = flown(100, **margin(100)).with_columns(gaps.alias("hx_fouling"))
     track = tracks(features, episodes(features, faults_on((50, HX_CODE)), log(CHANGED)), "HX")
     assert track.at[:, 0].tolist() == [0] * 60 + [1] * 40
     assert track.at[[0, 1, 4, 5, 6, 59, 60], 1].tolist() == [-1, 0, 3, 3, 4, 57, 0]

@@ -101,9 +101,8 @@ def test_lives_and_figure_cut_where_the_twin_does():
     message = flights.slice(161, 1).select("operator", "tail", "pack", "flight_id", message_time="departed_at")
     lives = episodes(flights, message.with_columns(code=pl.lit("21-52-HXTEMP")), log).filter(component="HX")
     assert lives.select("first_row", "end_row", "failed").rows() == [(0, 161, True), (164, 240, False)]
-    share = flights.with_columns(
-        ua_share=pl.when(pl.col("departed_at") < flights["departed_at"][164]).then(0.7).otherwise(1.0)
-    )
+    before = pl.col("departed_at") < flights["departed_at"][164]
+    share = flights.with_columns(ua_share=pl.when(before).then(0.7).otherwise(1.0))
     _, rows = around_replacement(share, log)
     assert rows.filter(n=0)["flight_id"].to_list() == [flights["flight_id"][164]]
 

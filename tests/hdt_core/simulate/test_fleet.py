@@ -48,7 +48,7 @@ def test_the_layout_is_the_contracts_and_truth_has_every_flight(fleet):
     assert {"eq6_intercept_m", "eq6_slope_m_per_count"} <= set(design_truth(11)["parameter"])
 
 
-def test_a_sound_pack_loses_as_much_heat_as_the_ram_air_wins():
+def test_a_sound_pack_loses_what_the_ram_air_wins_and_a_worn_compressor_heats_the_exchanger():
     rng = np.random.default_rng(0)
     design, one = draw_design(rng), np.ones(1)
     now, demand = packs.reference(one), packs.reference_demand(design, one)
@@ -57,6 +57,16 @@ def test_a_sound_pack_loses_as_much_heat_as_the_ram_air_wins():
     cold_k = now.tat_k + design.ram_heating_k
     lost_w = demand.flow_kg_s * mean_specific_heat_j_kg_k(demand.hot_in_k, hot_k) * (demand.hot_in_k - hot_k)
     np.testing.assert_allclose(lost_w, flow * mean_specific_heat_j_kg_k(cold_k, ram_k) * (ram_k - cold_k), rtol=1e-9)
+    design, one = draw_design(np.random.default_rng(1)), np.ones(3)
+    now, demand, loss = packs.reference(one), packs.reference_demand(design, one), np.array([0.0, 0.1, 0.2])
+    inlet_pa, exit_pa = packs.compressor_pressures_pa(now)
+    _, exit_k = packs.compressor_rows(
+        diameter_m=one, inlet_k=now.tat_k, inlet_pa=inlet_pa, exit_pa=exit_pa,
+        efficiency=design.cc_efficiency * (1.0 - loss),
+    )  # fmt: skip
+    hotter_k = packs.behind_worn_compressor(design, now, demand, loss).hot_in_k - demand.hot_in_k
+    np.testing.assert_allclose(hotter_k, exit_k - exit_k[0], atol=1e-9)
+    assert 5.0 < hotter_k[1] < 25.0
 
 
 def test_controller_holds_its_target_and_hides_the_wear():
@@ -73,24 +83,10 @@ def test_controller_holds_its_target_and_hides_the_wear():
     np.testing.assert_allclose(hot_k[door < 0.99], demand.target_k[door < 0.99], atol=0.2)
 
 
-def test_a_worn_compressor_heats_the_exchanger_by_what_its_efficiency_lost():
-    design, one = draw_design(np.random.default_rng(1)), np.ones(3)
-    now, demand, loss = packs.reference(one), packs.reference_demand(design, one), np.array([0.0, 0.1, 0.2])
-    inlet_pa, exit_pa = packs.compressor_pressures_pa(now)
-    _, exit_k = packs.compressor_rows(
-        diameter_m=one, inlet_k=now.tat_k, inlet_pa=inlet_pa, exit_pa=exit_pa,
-        efficiency=design.cc_efficiency * (1.0 - loss),
-    )  # fmt: skip
-    hotter_k = packs.behind_worn_compressor(design, now, demand, loss).hot_in_k - demand.hot_in_k
-    np.testing.assert_allclose(hotter_k, exit_k - exit_k[0], atol=1e-9)
-    assert 5.0 < hotter_k[1] < 25.0
-
-
 def test_blockage_looks_worse_to_one_who_trusts_the_clean_duct():
     design, one = draw_design(np.random.default_rng(2)), np.ones(3)
-    ratio, apparent, ram = packs.loss_ratios(
-        design, packs.ExchangerWear(0 * one, np.array([0.0, 0.2, 0.4]), 0 * one, one)
-    )
+    wear = packs.ExchangerWear(0 * one, np.array([0.0, 0.2, 0.4]), 0 * one, one)
+    ratio, apparent, ram = packs.loss_ratios(design, wear)
     np.testing.assert_allclose([ratio[0], apparent[0], ram[0]], 1.0, atol=1e-6)
     assert (apparent[1:] < ratio[1:]).all()
     assert (ram[1:] < 1.0).all()
@@ -113,9 +109,8 @@ def test_messages_follow_large_losses_or_door_faults():
 
 def test_effective_diameter_is_that_of_equation_5(fleet):
     for aircraft in fleet:
-        rows = aircraft.snapshots.filter((pl.col("phase_code") == "CR") & (pl.col("cc_speed_rpm") > 1e4)).drop_nulls(
-            ["cc_in_psia", "cc_out_psia", "cc_in_degc"]
-        )
+        running = (pl.col("phase_code") == "CR") & (pl.col("cc_speed_rpm") > 1e4)
+        rows = aircraft.snapshots.filter(running).drop_nulls(["cc_in_psia", "cc_out_psia", "cc_in_degc"])
         diameter = effective_diameter_m(
             rows["cc_in_psia"].to_numpy(),
             rows["cc_out_psia"].to_numpy(),

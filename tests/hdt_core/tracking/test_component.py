@@ -30,11 +30,9 @@ def flown(noise_k: float) -> pl.DataFrame:
     n = LOSS.size * SAMPLES
     flight = np.repeat(np.arange(LOSS.size), SAMPLES)
     inputs = {
-        "hot_flow_kg_s": rng.uniform(0.7, 1.1, n),
-        "ram_flow_kg_s": rng.uniform(0.9, 2.2, n),
-        "hot_in_k": rng.uniform(370.0, 405.0, n),
-        "cold_in_k": rng.uniform(245.0, 260.0, n),
-    }
+        "hot_flow_kg_s": rng.uniform(0.7, 1.1, n), "ram_flow_kg_s": rng.uniform(0.9, 2.2, n),
+        "hot_in_k": rng.uniform(370.0, 405.0, n), "cold_in_k": rng.uniform(245.0, 260.0, n),
+    }  # fmt: skip
     out = BUILT.predict({"hx_fouling": LOSS[flight]}, inputs)
     outputs = {name: value + noise_k * rng.standard_normal(n) for name, value in out.items()}
     start = datetime(2024, 1, 1, tzinfo=UTC)
@@ -63,18 +61,35 @@ def both_tracks(flights: pl.DataFrame) -> pl.DataFrame:
     return track_component(flights, replace(HX, model=BUILT), log(), DesignOffset(0.0, 0.0)).health
 
 
-def test_the_heat_exchanger_goes_the_same_way(flights):
+def test_the_exchanger_goes_the_same_way_and_a_flight_without_an_answer_is_predicted(flights):
     """Each flight's loss lies where its own standard deviation says, 120 times over."""
     z = (flights["hx_fouling"].to_numpy() - LOSS) / flights["hx_fouling_sd"].to_numpy()
     assert set(flights["status"]) == {"converged"}
     assert np.abs(z).max() < 4.0
     assert 0.8 < z.std() < 1.2
+    status = pl.when(pl.col("flight_id") == "T-00_050").then(pl.lit("diverged")).otherwise("status")
+    blind = flights.with_columns(status.alias("status"))
+    track = tracked(blind)
+    assert track["status"].to_list() == ["predicted" if k == 50 else "ok" for k in range(120)]
+    assert track["value"][50] == pytest.approx(track["value"][49], abs=2e-3)
+    assert track["sd"][50] > track["sd"][49]
 
 
-def test_another_estimator_says_the_same(samples, flights):
+def test_another_estimator_says_the_same_and_the_twin_explains_the_rest(samples, flights):
     some = samples.filter(pl.col("flight_id") < "T-00_010")
     other = flight_by_flight(some, BUILT, ["hx_fouling"], estimator=ExtendedKalman())
     np.testing.assert_allclose(other["hx_fouling"], flights["hx_fouling"][:10], atol=2e-3)
+    means = component_residuals(samples, flights, BUILT, "HX")
+    hot = means.filter(pl.col("signal") == "hot_out_k")
+    by_kind = {k: f.sort("flight_id")["mean"].to_numpy() for (k,), f in hot.group_by("kind")}
+    total = by_kind["sensor_minus_dsm"] + by_kind["dsm_minus_twin"]
+    np.testing.assert_allclose(by_kind["sensor_minus_twin"], total, atol=1e-9)
+    assert by_kind["sensor_minus_dsm"][LOSS == 0.4].min() > 10.0
+    assert np.abs(by_kind["sensor_minus_twin"]).max() < 1.0
+    with pytest.raises(ValueError, match="heat_exchanger: the samples hold no column of hot_out_k, ram_out_k"):
+        flight_by_flight(samples.drop("hot_out_k", "ram_out_k"), BUILT, ["hx_fouling"])
+    with pytest.raises(ValueError, match="heat_exchanger: no flight to follow"):
+        tracked(flights.clear())
 
 
 def test_filtering_steadies_looks_at_nothing_to_come_and_a_smoothed_loss_lies_nearer(flights):
@@ -92,26 +107,6 @@ def test_filtering_steadies_looks_at_nothing_to_come_and_a_smoothed_loss_lies_ne
     far, near = (np.abs(f["value"].to_numpy() - LOSS).mean() for f in (filtered, smoothed))
     assert near < 0.8 * far
     assert smoothed["value"][-1] == pytest.approx(filtered["value"][-1])
-
-
-def test_a_flight_without_an_answer_is_predicted(flights):
-    blind = flights.with_columns(
-        pl.when(pl.col("flight_id") == "T-00_050").then(pl.lit("diverged")).otherwise("status").alias("status")
-    )
-    track = tracked(blind)
-    assert track["status"].to_list() == ["predicted" if k == 50 else "ok" for k in range(120)]
-    assert track["value"][50] == pytest.approx(track["value"][49], abs=2e-3)
-    assert track["sd"][50] > track["sd"][49]
-
-
-def test_what_the_twin_explains_and_what_is_left(samples, flights):
-    means = component_residuals(samples, flights, BUILT, "HX")
-    hot = means.filter(pl.col("signal") == "hot_out_k")
-    by_kind = {k: f.sort("flight_id")["mean"].to_numpy() for (k,), f in hot.group_by("kind")}
-    total = by_kind["sensor_minus_dsm"] + by_kind["dsm_minus_twin"]
-    np.testing.assert_allclose(by_kind["sensor_minus_twin"], total, atol=1e-9)
-    assert by_kind["sensor_minus_dsm"][LOSS == 0.4].min() > 10.0
-    assert np.abs(by_kind["sensor_minus_twin"]).max() < 1.0
 
 
 def test_samples_that_leave_a_design_open_are_said_to():
@@ -169,13 +164,6 @@ def test_a_chiller_whose_flow_hardly_varies_leaves_its_exponent_open(flow_spread
     assert abs(estimate.belief.mean[1] - 0.8) < 4.0 * estimate.belief.sd[1]
 
 
-def test_nothing_to_compare_and_nothing_to_follow_are_said(samples, flights):
-    with pytest.raises(ValueError, match="heat_exchanger: the samples hold no column of hot_out_k, ram_out_k"):
-        flight_by_flight(samples.drop("hot_out_k", "ram_out_k"), BUILT, ["hx_fouling"])
-    with pytest.raises(ValueError, match="heat_exchanger: no flight to follow"):
-        tracked(flights.clear())
-
-
 def test_one_stray_flight_moves_little_and_a_step_is_followed_from_its_second_flight(flights):
     stray = pl.when(pl.col("flight_id") == "T-00_045").then(pl.col("hx_fouling") - 0.3).otherwise("hx_fouling")
     clean, struck = (tracked(f) for f in (flights, flights.with_columns(stray.alias("hx_fouling"))))
@@ -223,9 +211,8 @@ def test_other_faults_hardly_move_it(rig):
     built, and of a level's median by setting."""
     middle = pl.col("ua_w_k").median().over("cooler_pct")
     off_w_k = pl.col("ua_w_k") - middle
-    moved = rig["settled"].with_columns(
-        share=100.0 * off_w_k / middle, points=100.0 * off_w_k / rig["dsm"].nominal["hc_ua_w_k"]
-    )
+    nominal_w_k = rig["dsm"].nominal["hc_ua_w_k"]
+    moved = rig["settled"].with_columns(share=100.0 * off_w_k / middle, points=100.0 * off_w_k / nominal_w_k)
     by_level = [moved.group_by(fault).agg(pl.col("share").mean().abs()) for fault in FAULTS]
     assert max(level["share"].max() for level in by_level) == pytest.approx(3.2, abs=0.05)
     by_cell = [moved.group_by("cooler_pct", fault).agg(pl.col("share", "points").median().abs()) for fault in FAULTS]
@@ -249,18 +236,15 @@ def test_other_faults_hardly_move_it(rig):
     assert (at_change.max(), at_change.median()) == pytest.approx((4.2, 0.6), abs=0.05)
 
 
-def test_the_twin_explains_the_rig(rig):
+def test_the_twin_explains_the_rig_and_features_see_its_two_repairs_alone(rig):
     """As cycles go by, what is left is below the declared noise of the sensor."""
     left = rig["residuals"].filter(pl.col("kind") == "sensor_minus_twin")
     assert left["rms"].median() < 0.1
     assert left["rms"].quantile(0.95) < 0.2
     rms = dict(rig["residuals"].group_by("kind").agg(pl.col("rms").median()).rows())
     assert rms == pytest.approx({"sensor_minus_dsm": 5.15, "dsm_minus_twin": 5.15, "sensor_minus_twin": 0.06}, abs=5e-3)
-
-
-def test_features_see_the_two_repairs_and_nothing_else(rig):
-    """The rig's cooler was opened twice, before cycles 732 and 1464, and its loss settles within five cycles of the
-    start: a median of three cycles shows it from the second or third on, and the twelve before hold it up that long."""
+    # The rig's cooler was opened twice, before cycles 732 and 1464, and its loss settles within five cycles of the
+    # start: a median of three cycles shows it from the second or third on, and the twelve before hold it up that long.
     stepped = rig["described"].sort("cycle").filter(pl.col("hc_fouling_step_3").abs() > 0.1)["cycle"].to_list()
     assert stepped == [6, 7, 8, *range(735, 741), *range(1466, 1475)]
     since = [cycle - max(opened for opened in (0, 732, 1464) if opened <= cycle) for cycle in stepped]

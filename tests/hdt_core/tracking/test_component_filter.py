@@ -42,9 +42,8 @@ def test_wear_is_brought_to_the_exchangers_by_the_loss_and_life_at_which_it_fail
     """The exchanger fails at 38 % after 400 flights: a valve at 20 % after 800 wears less, and at half the rate."""
     size, own = wear_settings(COMPONENT, VALVE.param("valve_loss"), DesignOffset(0.0, 0.1))
     assert size == pytest.approx(np.log(0.8) / np.log(0.62))
-    assert (own.level, own.level_sd, own.unit_sd, own.wear_step) == pytest.approx(
-        (0.0, 0.1 / size, 0.04 / size, 0.01 / size)
-    )
+    expected = (0.0, 0.1 / size, 0.04 / size, 0.01 / size)
+    assert (own.level, own.level_sd, own.unit_sd, own.wear_step) == pytest.approx(expected)
     assert (own.clog, own.fault_chance, own.offset_bin, own.wash_share) == ((0.2, 0.2), 1e-6, 0.03, 0.5)
     renewed_only = replace(COMPONENT, ended_by=("REPLACED",))
     assert wear_settings(renewed_only, VALVE.param("valve_loss"), DesignOffset())[1].wash_share == 0.0
@@ -118,9 +117,8 @@ HXT = components()["HXT"]
 
 def read(values: list[float | None], **changes: object) -> dict[str, object]:
     """The row of one flight with these samples of a channel."""
-    reading = Reading(
-        **({"name": "hxt_x", "unit": "K", "meaning": "", "value": pl.col("hot_out_k"), "below": 400.0} | changes)
-    )
+    plain = {"name": "hxt_x", "unit": "K", "meaning": "", "value": pl.col("hot_out_k"), "below": 400.0}
+    reading = Reading(**(plain | changes))
     start = datetime(2024, 1, 1, tzinfo=UTC)
     samples = pl.DataFrame({
         "time_utc": [start + timedelta(seconds=k) for k in range(len(values))], "hot_out_k": values, "hot_in_k": 350.0,
@@ -221,16 +219,15 @@ def test_a_unit_that_the_log_calls_new_is_one_however_small_it_was_made():
     work = pl.DataFrame([("AAA", "T-1", 1, "HXT", "REPLACED", date(2024, 2, 5))], NO_WORK.schema, orient="row")
     samples = component_samples(signals, SPRAYED)
     legs, design = commission(signals, work, SPRAYED)
-    new, old = (
-        unit_health(samples, legs, design, log, SPRAYED)[1].health.sort("departed_at")[-1] for log in (work, NO_WORK)
-    )
+    healths = (unit_health(samples, legs, design, log, SPRAYED)[1].health for log in (work, NO_WORK))
+    new, old = (health.sort("departed_at")[-1] for health in healths)
     assert new["status"].item() == old["status"].item() == "ok"
     assert new["value"].item() < 0.025
     assert new["sd"].item() < 0.025
     assert old["value"].item() - 1.645 * old["sd"].item() < 0.06 < old["value"].item() + 1.645 * old["sd"].item()
 
 
-def test_with_the_spray_accepted_design_and_loss_are_found():
+def test_accepted_spray_is_found_and_a_signal_that_is_not_recorded_is_said():
     design, health, _ = run_component(flown([0.0] * 60 + [0.3] * 5), SPRAYED)
     values = dict(design.select("parameter", "value").rows())
     assert values["hxt_ntu"] == pytest.approx(TRUE["hxt_ntu"], rel=0.03)
@@ -238,9 +235,6 @@ def test_with_the_spray_accepted_design_and_loss_are_found():
     assert health["value"][:60].abs().max() < 0.05
     assert health["value"][-1] == pytest.approx(0.3, abs=0.06)
     assert set(health["status"]) == {"ok"}
-
-
-def test_a_signal_that_is_not_recorded_is_said():
     signals = flown([0.0]).filter(~pl.col("signal").is_in(["mach", "altitude_m"]))
     legs, _ = commission(signals, NO_WORK, COOLER)
     assert legs["reason"].to_list() == ["NOT_RECORDED"]
@@ -253,9 +247,8 @@ def test_a_signal_that_is_not_recorded_is_said():
 def test_the_papers_coefficients_where_the_outlets_allow():
     """The outlets are known to 1 K each: their difference must be four times its deviation."""
     outlets = [300.0, 315.0, 330.0, None]
-    rows = lumped_coefficients(
-        flights(4, hx_in_k=400.0, hx_out_k=320.0, tat_k=250.0, ram_out_k=outlets, pack_flow_kg_s=0.8, ram_flow_kg_s=1.6)
-    )
+    at = {"hx_in_k": 400.0, "hx_out_k": 320.0, "tat_k": 250.0, "pack_flow_kg_s": 0.8, "ram_flow_kg_s": 1.6}
+    rows = lumped_coefficients(flights(4, ram_out_k=outlets, **at))
     hot, cold = (rows.filter(parameter=name).row(0, named=True) for name in ("hx_h_hot_w_k", "hx_h_cold_w_k"))
     assert hot["value"] == pytest.approx(0.8 * 1009.0 * 80.0 / 20.0)
     assert cold["value"] == pytest.approx(1.6 * 1005.0 * 50.0 / 20.0)

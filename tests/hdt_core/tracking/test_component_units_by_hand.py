@@ -80,9 +80,8 @@ def test_a_stray_lies_five_robust_deviations_off(calm, off, stray):
 @pytest.mark.parametrize(("life", "flights_taken"), [(50.0, 10), (99.0, 10), (300.0, 30), (2000.0, 100)])
 def test_a_tenth_of_a_life_is_as_built_ten_to_a_hundred_flights(life, flights_taken):
     part = Component(*(getattr(PART, f) for f in ("code", "name", "lost", "model", "loss", "limit")), life, "look")
-    legs = flights(150, reason="").with_columns(
-        pl.when(pl.int_range(150) == 3).then(pl.lit("SHORT")).otherwise("reason").alias("reason")
-    )
+    reason = pl.when(pl.int_range(150) == 3).then(pl.lit("SHORT")).otherwise("reason")
+    legs = flights(150, reason="").with_columns(reason.alias("reason"))
     baseline = _as_built(legs, log(), part)
     assert baseline.height == flights_taken
     assert baseline["flight_id"].to_list()[:5] == ["T-1_000", "T-1_001", "T-1_002", "T-1_004", "T-1_005"]
@@ -104,9 +103,8 @@ def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, n
         assert (name, unit, count, identifiable, len(version)) == ("pmp_size", "m", 10, True, 12)
         assert value == pytest.approx(1.9, abs=0.01)
         assert sd == pytest.approx(0.01 / np.sqrt((rows["speed"] ** 2).sum()), rel=0.2)
-        odd = rows.with_columns(
-            lift=pl.col("lift") * pl.when(pl.col("flight_id") == "T-1_004").then(0.5).otherwise(1.0)
-        )
+        halved = pl.when(pl.col("flight_id") == "T-1_004").then(0.5).otherwise(1.0)
+        odd = rows.with_columns(lift=pl.col("lift") * halved)
         stray, design = _calibrate_pack(odd, PART)
         assert (stray["flight_id"].to_list(), design[0][4]) == (["T-1_004"], 9)
         assert design[0][1] == pytest.approx(1.9, abs=0.01)

@@ -76,13 +76,21 @@ def test_a_known_loss_is_found_and_a_new_machine_has_none(name):
     assert abs(filtered["value"][140]) < 0.02
 
 
-def test_no_later_flight_changes_a_filtered_loss():
+def test_no_later_flight_changes_a_loss_and_a_diameter_is_the_flights_own():
     rng = np.random.default_rng(6)
     loss = np.linspace(0.0, 0.05, 120) + 0.006 * rng.standard_normal(120)
     for end in (30, 50, 70, 101):
         early, whole = (track(machines(values), log()) for values in (loss[:end], loss))
         for name in LOSSES:
             assert parameter(early, name).equals(parameter(whole, name).head(end))
+    # A quarter of a per cent by the probes, and the error of a median of so many samples of 0.3 %.
+    twin = flights(3, efficiency=0.8, diameter_m=0.16, expected_diameter_m=0.17, cc_n_samples=[0, 1, 30])
+    rows = effective_diameter(twin)
+    assert rows["value"].to_list() == [0.16] * 3
+    noise = 0.003 * 1.2533 / np.sqrt([1.0, 1.0, 30.0])
+    np.testing.assert_allclose(rows["sd"], 0.16 * np.hypot(0.0025, noise), rtol=1e-9)
+    assert rows["status"].to_list() == ["predicted", "ok", "ok"]
+    assert rows.select("unit", "estimator").unique().rows() == [("m", "closed_form")]
 
 
 def test_flights_weigh_what_the_segments_before_their_own_scatter():
@@ -143,14 +151,3 @@ def test_a_reading_that_no_machine_gives_is_none(machine):
     rows = parameter(never, "cc_efficiency_loss")
     assert rows["status"].unique().to_list() == ["not_recorded"]
     assert rows["value"].null_count() == rows["sd"].null_count() == 12
-
-
-def test_diameter_is_the_flights_own_and_more_samples_are_surer():
-    """A quarter of a per cent by the probes, and the error of a median of so many samples of 0.3 %."""
-    twin = flights(3, efficiency=0.8, diameter_m=0.16, expected_diameter_m=0.17, cc_n_samples=[0, 1, 30])
-    rows = effective_diameter(twin)
-    assert rows["value"].to_list() == [0.16] * 3
-    noise = 0.003 * 1.2533 / np.sqrt([1.0, 1.0, 30.0])
-    np.testing.assert_allclose(rows["sd"], 0.16 * np.hypot(0.0025, noise), rtol=1e-9)
-    assert rows["status"].to_list() == ["predicted", "ok", "ok"]
-    assert rows.select("unit", "estimator").unique().rows() == [("m", "closed_form")]

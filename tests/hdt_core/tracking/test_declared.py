@@ -61,13 +61,10 @@ def both(samples: pl.DataFrame, model) -> pl.DataFrame:
     """Batched and literal answer to each leg."""
     estimates = estimate_flights(samples, model).select(*LEG, "ln_ua_ratio", "ln_ua_ratio_sd")
     batched = {leg: (value, sd) for *leg, value, sd in estimates.iter_rows() for leg in [tuple(leg)]}
-    literal = [
-        (*leg, literal_ln_ratio(rows, model, batched[leg][1], batched[leg][0]))
-        for leg, rows in samples.group_by(LEG, maintain_order=True)
-    ]
-    return estimates.join(
-        pl.DataFrame(literal, schema=[*LEG, "literal"], orient="row").cast({"pack": pl.Int32}), on=LEG
-    )
+    legs = samples.group_by(LEG, maintain_order=True)
+    literal = [(*leg, literal_ln_ratio(rows, model, batched[leg][1], batched[leg][0])) for leg, rows in legs]
+    frame = pl.DataFrame(literal, schema=[*LEG, "literal"], orient="row")
+    return estimates.join(frame.cast({"pack": pl.Int32}), on=LEG)
 
 
 def test_where_both_state_the_same_problem_they_say_the_same(legs, model):

@@ -138,17 +138,14 @@ def test_remaining_life_is_unbiased_over_its_last_hundred_voyages():
     )
     features = component_features(health, residuals, legs, log, component)
     rows = component_prognoses(features, messages, log, component)
-    at = rows.select(
-        ship=pl.col("tail").str.slice(2).cast(int), voyage=pl.col("flight_id").str.slice(2).cast(int)
-    ).rows()
-    remaining = np.array(
-        [min((end - v for s, end in ends if s == ship and end >= v), default=np.nan) for ship, v in at]
-    )
+    number = {"ship": pl.col("tail"), "voyage": pl.col("flight_id")}
+    at = rows.select(text.str.slice(2).cast(int).alias(name) for name, text in number.items()).rows()
+    ahead = [[end - v for s, end in ends if s == ship and end >= v] for ship, v in at]
+    remaining = np.array([min(one, default=np.nan) for one in ahead])
     late = remaining <= 100
     error = rows["rul_flights"].to_numpy()[late] - remaining[late]
-    covered = (rows["rul_low"].to_numpy()[late] <= remaining[late]) & (
-        remaining[late] <= rows["rul_high"].to_numpy()[late]
-    )
+    low, high = rows["rul_low"].to_numpy()[late], rows["rul_high"].to_numpy()[late]
+    covered = (low <= remaining[late]) & (remaining[late] <= high)
     assert late.sum() > 400
     assert abs(error.mean()) < 15.0
     assert 0.85 < covered.mean() < 0.96

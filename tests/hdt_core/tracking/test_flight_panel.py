@@ -24,9 +24,8 @@ def twin_flights() -> pl.DataFrame:
 
 @pytest.fixture
 def faults() -> Corrections:
-    return Corrections(
-        np.array([0.0, 0.0, -0.05, 0.0]), np.array([0.0, 0.0, 1e-4, 0.0]), np.array([0, 0, 1, 0]) > 0, np.ones(4)
-    )
+    shift, blur = np.array([0.0, 0.0, -0.05, 0.0]), np.array([0.0, 0.0, 1e-4, 0.0])
+    return Corrections(shift, blur, np.array([0, 0, 1, 0]) > 0, np.ones(4))
 
 
 def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.DataFrame) -> FlightPanel:
@@ -60,9 +59,8 @@ def test_fingerprints_tell_which_flights_before_a_segment_have_changed(twin_flig
     here = prints(twin_flights)
     assert [len(own) for own in here] == [2, 1]
     assert here == prints(twin_flights)
-    last = twin_flights.with_columns(
-        pl.when(pl.col("ln_ua_ratio") < 0).then(-0.2).otherwise("ln_ua_ratio").alias("ln_ua_ratio")
-    )
+    worn = pl.when(pl.col("ln_ua_ratio") < 0).then(-0.2).otherwise("ln_ua_ratio")
+    last = twin_flights.with_columns(worn.alias("ln_ua_ratio"))
     assert prints(last) == here  # the last flight lies behind the last full segment
     first = twin_flights.with_columns(pl.col("ln_ua_ratio").fill_null(0.3))
     renamed = twin_flights.with_columns(pl.col("flight_id") + "x")

@@ -88,9 +88,8 @@ def test_a_smoothed_value_is_final_once_the_next_segment_is_flown(three, log, mo
     end = three.filter(tail="S-0")["departed_at"][3 * segments.SEGMENT_FLIGHTS - 1]
     early = track(three.filter(pl.col("departed_at") <= end), log, model)
     settled = three.filter(tail="S-0").head(2 * segments.SEGMENT_FLIGHTS)["flight_id"].implode()
-    then, now = (
-        t.health.filter(pl.col("flight_id").is_in(settled), parameter="hx_fouling_smoothed") for t in (early, whole)
-    )
+    settled_rows = pl.col("flight_id").is_in(settled)
+    then, now = (t.health.filter(settled_rows, parameter="hx_fouling_smoothed") for t in (early, whole))
     assert then.height == 2 * segments.SEGMENT_FLIGHTS
     assert then.equals(now)
 

@@ -47,13 +47,22 @@ def test_what_is_taken_out_has_the_sign_of_the_error_and_a_seventh_of_it_as_doub
     assert result.fault.tolist() == [False] * 11 + [True]
 
 
-def test_a_difference_at_its_usual_level_vouches_for_one_sensor_of_five():
+def test_a_level_vouches_for_one_sensor_of_five_and_scatter_is_no_departure():
     """Once five flights have shown its level, where it is measured and does not depart."""
     apart = [*QUIET, 0.0, float("nan"), 5.0, 0.0]
     result = corrections(flights("exit_apart_k", apart, [0.0] * 14))
     np.testing.assert_allclose(result.unchecked, [1.0] * 4 + [0.8] * 7 + [1.0, 1.0, 0.8])
     silent = flights("exit_apart_k", apart, [0.0] * 14).drop("exit_apart_k")
     np.testing.assert_allclose(corrections(silent).unchecked, 1.0)
+    # Steps of 1 K: a normal variable's mean step of 1 K is a deviation of 1.25 / sqrt 2 K, four of them 3.48 K.
+    before = [0.5, -0.5] * 20
+    gate = 4.0 * (0.3 + 39 * 1.25 / np.sqrt(2.0)) / 40
+    assert shift("exit_apart_k", [gate - 0.01] * 2, [-0.05 * gate] * 2, before) == [0.0] * 2
+    assert any(shift("exit_apart_k", [gate + 0.01] * 2, [-0.05 * gate] * 2, before))
+    before = [0.0] * 40 + [1.0] * 40
+    usual = 1.0 - (39 / 40) ** 40
+    assert shift("exit_apart_k", [usual + 1.19] * 2, [-0.06] * 2, before) == [0.0] * 2
+    np.testing.assert_allclose(shift("exit_apart_k", [usual + 1.21] * 2, [-0.06] * 2, before), [0, -0.05 * 1.21])
 
 
 @pytest.mark.parametrize(("share", "blamed"), [(0.39, False), (0.41, True), (1.99, True), (2.0, False), (-1, False)])
@@ -74,31 +83,19 @@ def test_the_level_is_the_mean_of_eight_departures_and_five_are_met_before_any_d
     np.testing.assert_allclose(shift("exit_apart_k", [4.0] * 2, [-0.2] * 2, [0.0] * 5), [0.0, -0.2])
 
 
-def test_scatter_from_flight_to_flight_is_no_departure():
-    """Steps of 1 K: a normal variable's mean step of 1 K is a deviation of 1.25 / sqrt 2 K, four of them 3.48 K."""
-    before = [0.5, -0.5] * 20
-    gate = 4.0 * (0.3 + 39 * 1.25 / np.sqrt(2.0)) / 40
-    assert shift("exit_apart_k", [gate - 0.01] * 2, [-0.05 * gate] * 2, before) == [0.0] * 2
-    assert any(shift("exit_apart_k", [gate + 0.01] * 2, [-0.05 * gate] * 2, before))
-
-
-def test_what_is_usual_follows_in_forty_flights():
-    before = [0.0] * 40 + [1.0] * 40
-    usual = 1.0 - (39 / 40) ** 40
-    assert shift("exit_apart_k", [usual + 1.19] * 2, [-0.06] * 2, before) == [0.0] * 2
-    np.testing.assert_allclose(shift("exit_apart_k", [usual + 1.21] * 2, [-0.06] * 2, before), [0, -0.05 * 1.21])
-
-
-def test_the_ratio_before_is_remembered_for_six_flights():
+def test_the_ratio_before_is_remembered_and_a_fault_is_over_on_the_second_usual_flight():
     """One flight at 0.06 raises what is held to 0.01: a fall of 0.08 from there, not less, is 0.4 of what 4 K do."""
     for fall, blamed in ((0.0795, False), (0.0805, True)):
         result = corrections(flights("exit_apart_k", [*QUIET, 0.0, 4.0, 4.0], [*QUIET, 0.06, *[0.01 - fall] * 2]))
         assert result.fault.any() == blamed
-
-
-def test_a_fault_is_over_on_the_second_flight_that_is_usual_again():
     shifts = shift("exit_apart_k", [4.0, 4.0, 0.0, 5.0, 0.0, 0.0, 4.0], [-0.2, -0.2, 0.0, -0.2, 0.0, 0.0, -0.2])
     np.testing.assert_allclose(shifts, [0.0, -0.2, 0.0, -0.05 * 13.0 / 3.0, 0.0, 0.0, 0.0])
+    # A pack that fouls while its sensor is off: the corrected ratio is what the next departure is measured from.
+    apart = [*QUIET, *[4.0] * 30, 0.0, 0.0, 4.0, 4.0]
+    fouled = -0.3
+    ratio = [0.0] * 10 + [-0.2] * 2 + [fouled - 0.2] * 28 + [fouled] * 2 + [fouled - 0.2] * 2
+    result = corrections(flights("exit_apart_k", apart, ratio))
+    assert result.fault[[-4, -3, -2, -1]].tolist() == [False, False, False, True]
 
 
 @pytest.mark.parametrize(("fall", "blamed"), [(0.0795, False), (0.0805, True)])
@@ -106,15 +103,6 @@ def test_the_first_usual_flight_after_a_fault_moves_no_level(fall, blamed):
     """Its ratio of 0.06 would raise the level to 0.01; the second's does count."""
     shifts = shift("exit_apart_k", [4.0, 4.0, 0.0, 0.0, 4.0, 4.0], [-0.2, -0.2, 0.06, 0.0, -fall, -fall])
     assert (shifts[-1] != 0.0) == blamed
-
-
-def test_what_a_fault_leaves_is_held_on_to():
-    """A pack that fouls while its sensor is off: the corrected ratio is what the next departure is measured from."""
-    apart = [*QUIET, *[4.0] * 30, 0.0, 0.0, 4.0, 4.0]
-    fouled = -0.3
-    ratio = [0.0] * 10 + [-0.2] * 2 + [fouled - 0.2] * 28 + [fouled] * 2 + [fouled - 0.2] * 2
-    result = corrections(flights("exit_apart_k", apart, ratio))
-    assert result.fault[[-4, -3, -2, -1]].tolist() == [False, False, False, True]
 
 
 def both_packs(own: float, other: float, n: int = 12) -> Corrections:
@@ -148,19 +136,15 @@ def test_tat_is_at_fault_where_both_packs_see_it_leave_alike(other, blamed):
 def test_the_other_pack_is_heard_twice_and_on_the_mean(other, begins):
     """Its level is 0.3 K, on average of what it scatters; 0.4 of 3 K is 1.2 K below."""
     before = [0.0, 0.6] * 5
-    packs = [
-        flights("tat_apart_k", [*QUIET, *[-3.0] * 3], [0.0] * 13, 1),
-        flights("tat_apart_k", [*before, *(v if v is None else v + 0.3 for v in other)], [0.0] * 13, 2),
-    ]
+    theirs = [*before, *(v if v is None else v + 0.3 for v in other)]
+    packs = [flights("tat_apart_k", v, [0.0] * 13, p) for v, p in (([*QUIET, *[-3.0] * 3], 1), (theirs, 2))]
     assert np.flatnonzero(corrections(pl.concat(packs)).fault[:13])[0] == begins
 
 
 def other_says(quiet: list[float | None], departs: list[float | None], own: list[float]) -> bool:
     """Whether the first pack's TAT is at fault by what the other pack says of it."""
-    packs = [
-        flights("tat_apart_k", [*QUIET, *own], [0.0] * (10 + len(own)), 1),
-        flights("tat_apart_k", [*quiet, *departs], [0.0] * (10 + len(own)), 2),
-    ]
+    still = [0.0] * (10 + len(own))
+    packs = [flights("tat_apart_k", v, still, p) for v, p in (([*QUIET, *own], 1), ([*quiet, *departs], 2))]
     return bool(corrections(pl.concat(packs)).fault[: 10 + len(own)].any())
 
 
@@ -180,39 +164,28 @@ def test_a_vouched_witness_keeps_its_level_for_two_hundred_flights(beyond, blame
     assert corrections(packs).fault.any() == blamed
 
 
-def test_a_door_vouches_for_itself_after_ten_flights():
+def test_doors_vouch_for_themselves_sensors_go_one_after_the_other_and_packs_by_themselves():
     """Cruise moves by one, climb and descent by twice as much: their difference is the correction itself."""
     shifts = shift("door_apart_ln", [0.1] * 12, [0.0] * 12)
     np.testing.assert_allclose(shifts, [0.0] * 9 + [0.1] * 3)
     assert shift("door_apart_ln", [0.04] * 12, [0.0] * 12) == [0.0] * 12
     np.testing.assert_allclose(shift("door_apart_ln", [-0.041] * 10, [0.0] * 10), [0.0] * 9 + [-0.041])
-
-
-def test_sensors_are_taken_out_one_after_the_other():
-    """The flow's witness judges what the exit's correction leaves."""
+    # The flow's witness judges what the exit's correction leaves.
     n = 4
     rows = flights("exit_apart_k", [*QUIET, *[4.0] * n], [0.0] * 10 + [-0.2, -0.2, -0.12, -0.12])
     flow = pl.Series([0.0] * 12 + [0.1] * 2)
     result = corrections(rows.with_columns(flows_apart_ln=flow, ratio_per_ln_flow=0.8))
     np.testing.assert_allclose(result.shift[10:], [0.0, -0.2, -0.2, -0.2 + 0.08])
     np.testing.assert_allclose(result.variance[-1], 0.15**2 * (0.2**2 + 0.08**2))
-
-
-def test_wear_and_missing_values_are_nobodys_fault():
     assert not corrections(flights("exit_apart_k", [0.0] * 60, list(-0.01 * np.arange(60.0)))).fault.any()
     silent = flights("exit_apart_k", [*QUIET, 4.0, 4.0], [0.0] * 10 + [-0.2] * 2)
     assert not corrections(silent.with_columns(ratio_per_exit_k=None)).fault.any()
     assert not corrections(silent.with_columns(exit_apart_k=None)).fault.any()
     assert not corrections(silent.with_columns(ratio_per_exit_k=0.0)).fault.any()
     assert corrections(silent.clear()).shift.shape == (0,)
-
-
-def test_each_pack_walks_by_itself():
-    """Five quiet flights of one pack are no level of the next one's."""
+    # Five quiet flights of one pack are no level of the next one's.
     packs = [flights("exit_apart_k", [0.0] * 12, [0.0] * 12, 1), flights("exit_apart_k", [4.0] * 12, [-0.2] * 12, 2)]
     assert not corrections(pl.concat(packs)).fault.any()
-    last, first = (
-        flights("exit_apart_k", [*QUIET, 4.0], [0.0] * 10 + [-0.2], 1),
-        flights("exit_apart_k", [4.0], [-0.2], 2),
-    )
+    last = flights("exit_apart_k", [*QUIET, 4.0], [0.0] * 10 + [-0.2], 1)
+    first = flights("exit_apart_k", [4.0], [-0.2], 2)
     assert not corrections(pl.concat([last, first])).fault.any()

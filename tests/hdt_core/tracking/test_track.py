@@ -29,7 +29,7 @@ def test_batched_pass_equals_the_literal_recursion(flights, model):
     assert batched.equals(literal)
 
 
-def test_later_flights_do_not_change_earlier_estimates(flights, model, fleet):
+def test_later_flights_and_earlier_work_change_no_estimate_and_the_truth_is_recovered(flights, model, fleet):
     cut = flights["departed_at"].min() + timedelta(days=70)
     before = flights.filter(pl.col("departed_at") < cut)
     later_log = replaced(fleet, "T-00", 90)
@@ -40,15 +40,9 @@ def test_later_flights_do_not_change_earlier_estimates(flights, model, fleet):
     for column in ("value", "sd"):
         np.testing.assert_allclose(early[column].to_numpy(), same[column].to_numpy(), atol=1e-12, rtol=0)
     assert early["status"].equals(same["status"])
-
-
-def test_work_before_the_first_flight_on_record_changes_nothing(flights, model, fleet):
     first = flights["departed_at"].min()
     long_ago = replaced(fleet, "T-00", 0).with_columns(done_on=pl.lit(first.date() - timedelta(days=40)))
     assert track(flights, long_ago, model).health.equals(track(flights, NO_LOG, model).health)
-
-
-def test_recovers_the_truth_within_its_own_word(flights, model, fleet):
     rows = track(flights, NO_LOG, model).health.filter(pl.col("parameter") == "hx_fouling")
     joined = rows.join(fleet.truth, on=["tail", "flight_id", "pack"])
     off = joined["value"].to_numpy() - joined["loss"].to_numpy()
@@ -104,7 +98,7 @@ def test_a_new_core_is_believed_where_no_log_is_kept(model):
     assert np.mean(logged) > np.mean(silent)
 
 
-def test_a_wash_leaves_the_offset_and_part_of_the_wear(model):
+def test_a_wash_leaves_part_of_the_wear_and_a_fault_that_passes_all_of_it(model):
     loss = np.r_[np.linspace(0.0, 0.3, 90), np.linspace(0.08, 0.12, 60)]
     twin = flights_with_loss(model, loss, offset=-0.04)
     rows = fouling(twin, entry(twin, 90, "HX", "CLEANED"), model)
@@ -112,9 +106,6 @@ def test_a_wash_leaves_the_offset_and_part_of_the_wear(model):
     # what was not known of the unit before the wash is not known after it either, and no more than that
     np.testing.assert_allclose(off[100:], off[80:90].mean(), atol=0.03)
     assert (np.abs(off) < 2.0 * rows["sd"].to_numpy()).all()
-
-
-def test_a_fault_that_passes_leaves_the_estimate_as_it_was(model):
     loss = np.linspace(0.0, 0.08, 120)
     twin = flights_with_loss(model, loss)
     shifted = pl.int_range(pl.len()).is_between(50, 70)
@@ -123,6 +114,11 @@ def test_a_fault_that_passes_leaves_the_estimate_as_it_was(model):
     np.testing.assert_allclose(during["value"].to_numpy()[80:], sound["value"].to_numpy()[80:], atol=0.02)
     # while it lasts nobody can tell it from a clog, and the estimate says so
     assert (during["sd"].to_numpy()[53:70] > 2.0 * sound["sd"].to_numpy()[53:70]).all()
+    twin = flights_with_loss(model, np.zeros(20)).with_columns(ln_ua_ratio=None, status=pl.lit("no_cruise"))
+    rows = fouling(twin.with_columns(pl.col("ln_ua_ratio").cast(pl.Float64)), NO_LOG, model)
+    assert rows["status"].unique().to_list() == ["predicted"]
+    assert rows["value"].is_finite().all()
+    assert (rows["sd"] > 0.04).all()
 
 
 def test_a_clog_is_believed_and_one_stray_flight_moves_little(model):
@@ -130,9 +126,7 @@ def test_a_clog_is_believed_and_one_stray_flight_moves_little(model):
     rows = fouling(flights_with_loss(model, loss), NO_LOG, model)
     np.testing.assert_allclose(rows["value"].to_numpy()[-1], 0.25, atol=0.05)
     twin = flights_with_loss(model, np.full(80, 0.1))
-    stray = twin.with_columns(
-        ln_ua_ratio=pl.when(pl.int_range(pl.len()) == 50).then(-0.9).otherwise(pl.col("ln_ua_ratio"))
-    )
+    stray = twin.with_columns(ln_ua_ratio=pl.when(pl.int_range(pl.len()) == 50).then(-0.9).otherwise("ln_ua_ratio"))
     a, b = (fouling(frame, NO_LOG, model)["value"].to_numpy() for frame in (twin, stray))
     assert abs(a[60] - b[60]) < 0.01
 
@@ -164,17 +158,14 @@ def test_looking_back_knows_more(model):
         worn = rng.choice([0.0, 0.05, 0.15])
         loss = np.r_[worn + np.linspace(0.0, 0.15, 40), np.linspace(0.0, 0.03, 30)]
         unit = np.repeat(rng.normal(0.0, 0.03, 2), [40, 30])
-        frames.append(
-            flights_with_loss(model, loss, offset=rng.normal(0.0, sensors_sd) + unit, seed=k, tail=f"S-{k:02d}")
-        )
+        offset = rng.normal(0.0, sensors_sd) + unit
+        frames.append(flights_with_loss(model, loss, offset=offset, seed=k, tail=f"S-{k:02d}"))
         logs.append(entry(frames[-1], 40, "HX", "REPLACED"))
         truth.append(loss)
     rows = both_tracks(pl.concat(frames).sort(IN_ORDER), pl.concat(logs), model)
     names = ("hx_fouling", "hx_fouling_smoothed")
-    values, sds = (
-        [rows.filter(pl.col("parameter") == n).sort(IN_ORDER)[c].to_numpy().reshape(60, 70) for n in names]
-        for c in ("value", "sd")
-    )
+    own = [rows.filter(pl.col("parameter") == n).sort(IN_ORDER) for n in names]
+    values, sds = ([f[c].to_numpy().reshape(60, 70) for f in own] for c in ("value", "sd"))
     squares = [np.mean((v - np.array(truth))[:, :40] ** 2) for v in values]
     assert squares[1] < squares[0]
     assert sds[1][:, :40].mean() < sds[0][:, :40].mean()
@@ -187,14 +178,6 @@ def test_a_short_record_has_wide_estimates(model, n_flights):
     rows = fouling(flights_with_loss(model, np.zeros(n_flights)), NO_LOG, model)
     assert rows["value"].is_not_null().all()
     assert (rows["sd"] > 0.5 * model.offset_sd * 0.5).all()
-
-
-def test_a_pack_never_seen_is_predicted_from_the_prior(model):
-    twin = flights_with_loss(model, np.zeros(20)).with_columns(ln_ua_ratio=None, status=pl.lit("no_cruise"))
-    rows = fouling(twin.with_columns(pl.col("ln_ua_ratio").cast(pl.Float64)), NO_LOG, model)
-    assert rows["status"].unique().to_list() == ["predicted"]
-    assert rows["value"].is_finite().all()
-    assert (rows["sd"] > 0.04).all()
 
 
 def test_every_flight_has_every_parameter_once_and_no_flights_no_rows(flights, model):

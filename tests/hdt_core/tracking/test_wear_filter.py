@@ -253,7 +253,7 @@ def some(weights: list[float], wear: list[float], pack: list[int] | None = None,
     return flat(states)._replace(pack=np.array(pack or [0] * k), **changes)
 
 
-def test_like_hypotheses_are_merged_by_their_moments():
+def test_like_hypotheses_are_merged_and_light_ones_dropped_to_forty():
     """Within a bin of 0.01 of wear, alike in pace and fault; the labels are the heavier one's."""
     after, into = prune(some([0.5, 0.3, 0.15, 0.05], [0.1, 0.104, 0.106, 0.1], faulty=np.array([0, 0, 0, 1]) > 0))
     assert into.tolist() == [0, 0, 1, 2]
@@ -261,9 +261,6 @@ def test_like_hypotheses_are_merged_by_their_moments():
     assert after.mean[0, 0] == pytest.approx((0.5 * 0.1 + 0.3 * 0.104) / 0.8)
     assert after.cov[0, 0, 0] == pytest.approx(1e-4 + 0.5 * 0.3 / 0.8**2 * 0.004**2)
     assert after.since.tolist() == [0, 2, 3]
-
-
-def test_light_hypotheses_are_dropped_and_forty_are_kept():
     after, into = prune(some([1.0 - 1e-6, 0.999e-6, 1.001e-6], [0.0, 0.05, 0.1]))
     assert into.tolist() == [0, -1, 1]
     assert np.exp(after.log_weight).sum() == pytest.approx(1.0)
