@@ -18,13 +18,9 @@ from hdt_core.alerts.alerts import trials
 PACK = ["tail", "pack"]
 FOLLOWED, BEFORE = 200, 300
 GROUP = {
-    "HX_FOULING": "HX",
-    "HX_SUDDEN_CLOG": "HX",
-    "HX_LOW_MARGIN": "HX",
-    "CC_DEGRADED": "CC",
-    "RAM_DOOR_FAULT": "RAM_DOOR",
-    "SENSOR_FAULT": "SENSOR",
-}
+    "HX_FOULING": "HX", "HX_SUDDEN_CLOG": "HX", "HX_LOW_MARGIN": "HX", "CC_DEGRADED": "CC",
+    "RAM_DOOR_FAULT": "RAM_DOOR", "SENSOR_FAULT": "SENSOR",
+}  # fmt: skip
 """Component of each diagnosis."""
 COMPONENTS = {"HX": "exchanger", "CC": "compressor", "RAM_DOOR": "ram door", "SENSOR": "sensors"}
 CONFIRMED = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED")

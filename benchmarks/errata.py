@@ -60,10 +60,8 @@ def fleet(ua_w_k: float, n_flights: int = 1500, seed: int = 1) -> tuple[float, f
     hot_out, _ = outlets_k(hot, ram, hot_in, cold_in, ua_share * clean_conductance_w_k(hot, ram, **design))
     seen_ram = ram * (1.0 + per_flight(0.0, 0.04))
     seen_in, seen_out, seen_cold = (
-        hot_in + per_flight(0.0, 0.5),
-        hot_out + 0.5 * rng.normal(size=len(hot)),
-        cold_in + per_flight(0.0, 0.5),
-    )
+        hot_in + per_flight(0.0, 0.5), hot_out + 0.5 * rng.normal(size=len(hot)), cold_in + per_flight(0.0, 0.5),
+    )  # fmt: skip
     # all but the outlet is constant over a flight, so least squares is that of the mean outlet
     means = [column.reshape(-1, points).mean(axis=1) for column in (hot, seen_ram, seen_in, seen_out, seen_cold)]
     h_w_k, ua_ratio = (

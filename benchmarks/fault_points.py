@@ -13,16 +13,9 @@ from collections.abc import Callable
 from itertools import count
 
 POINTS = (
-    "before_write",
-    "before_rename",
-    "after_rename",
-    "before_commit",
-    "after_commit",
-    "before_register",
-    "after_register",
-    "before_mark",
-    "after_mark",
-)
+    "before_write", "before_rename", "after_rename", "before_commit", "after_commit", "before_register",
+    "after_register", "before_mark", "after_mark",
+)  # fmt: skip
 """In `files.replacing`, which writes every file, in a table's commit, and in the two writers of the ledger."""
 OF_OBJECTS = ("before_write", "before_commit", "after_commit")
 """Where a shard becomes an object and a commit names it, in an object store."""

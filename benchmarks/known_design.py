@@ -66,13 +66,10 @@ def design_vector(design: PackDesign) -> np.ndarray:
     share = design.hx_hot_share / (1.0 - design.hx_wall_share)
     rest = (design.ram_core_area_m2**-2 + design.ram_exit_area_m2**-2) ** -0.5
     values = {n: getattr(design, n) for n in TRUTH} | {
-        "ln_ua_reference": np.log(design.hx_ua_reference_w_k),
-        "hot_share_logit": np.log(share / (1.0 - share)),
-        "ln_door_closed": np.log(design.ram_area_closed_m2),
-        "ln_door_open": np.log(design.ram_area_open_m2),
-        "ln_rest_area": np.log(rest),
-        "film_temperature_exponent": 0.25,
-    }
+        "ln_ua_reference": np.log(design.hx_ua_reference_w_k), "hot_share_logit": np.log(share / (1.0 - share)),
+        "ln_door_closed": np.log(design.ram_area_closed_m2), "ln_door_open": np.log(design.ram_area_open_m2),
+        "ln_rest_area": np.log(rest), "film_temperature_exponent": 0.25,
+    }  # fmt: skip
     return np.array([values[n] for n in hx.NAMES])
 
 

@@ -31,10 +31,8 @@ def measure_store(landing: Path, home: Path) -> dict[str, object]:
     before, began = _requests(), time.monotonic()
     write_report(home, home.with_suffix(".html"))
     row |= {
-        "report": time.monotonic() - began,
-        "report_requests": _since(before),
-        "ranking_ms": query_ms(home, RANKING),
-    }
+        "report": time.monotonic() - began, "report_requests": _since(before), "ranking_ms": query_ms(home, RANKING),
+    }  # fmt: skip
     return row | _stored(Store(home))
 
 
@@ -59,16 +57,11 @@ def _since(before: dict[str, int]) -> str:
 def table(rows: dict[str, dict[str, object]]) -> str:
     """Return the table as Markdown."""
     labels = (
-        ("first night [s]", "night", ".0f"),
-        ("its requests", "night_requests", ""),
-        ("idle night [s]", "idle", ".1f"),
-        ("its requests", "idle_requests", ""),
-        ("report [s]", "report", ".1f"),
-        ("its requests", "report_requests", ""),
-        ("fleet's ranking [ms]", "ranking_ms", ".0f"),
-        ("files or objects", "objects", ",.0f"),
-        ("megabytes", "megabytes", ".1f"),
-    )
+        ("first night [s]", "night", ".0f"), ("its requests", "night_requests", ""), ("idle night [s]", "idle", ".1f"),
+        ("its requests", "idle_requests", ""), ("report [s]", "report", ".1f"),
+        ("its requests", "report_requests", ""), ("fleet's ranking [ms]", "ranking_ms", ".0f"),
+        ("files or objects", "objects", ",.0f"), ("megabytes", "megabytes", ".1f"),
+    )  # fmt: skip
     lines = [[label, *(format(row[key], form) for row in rows.values())] for label, key, form in labels]
     return f"{markdown([['', *rows], *lines])}\n\n{machine()}"
 

@@ -184,11 +184,9 @@ def exchanger(rng: np.random.Generator) -> Trial:
     names = [p.name for p in HEAT_EXCHANGER.free("design")][:2]
     k = 80
     inputs = {
-        "hot_flow_kg_s": rng.uniform(0.5, 1.2, k),
-        "ram_flow_kg_s": rng.uniform(0.6, 2.4, k),
-        "hot_in_k": rng.uniform(370.0, 430.0, k),
-        "cold_in_k": rng.uniform(225.0, 280.0, k),
-    }
+        "hot_flow_kg_s": rng.uniform(0.5, 1.2, k), "ram_flow_kg_s": rng.uniform(0.6, 2.4, k),
+        "hot_in_k": rng.uniform(370.0, 430.0, k), "cold_in_k": rng.uniform(225.0, 280.0, k),
+    }  # fmt: skip
     inputs = {s.name: inputs.get(s.name, np.zeros(k)) for s in HEAT_EXCHANGER.inputs}
     truth = {p.name: p.nominal * rng.uniform(0.8, 1.2) for p in HEAT_EXCHANGER.params if p.name in names}
     clean = HEAT_EXCHANGER.predict(truth, inputs)

@@ -154,10 +154,8 @@ def tables(rows: list[Row]) -> str:
         errors = [f"{middle:.1e}", f"{low:.1e} - {high:.1e}"]
         three.append([r.name, f"{r.n_seeds}", *pairs, f"{r.failures}", *errors, f"{1e3 * r.seconds:.3g}"])
     titles = (
-        "Table 1. Estimated parameters",
-        "Table 2. Performance for position",
-        "Table 3. What the paper does not state",
-    )
+        "Table 1. Estimated parameters", "Table 2. Performance for position", "Table 3. What the paper does not state",
+    )  # fmt: skip
     return "\n\n".join(f"**{t}**\n\n" + markdown(body) for t, body in zip(titles, (one, two, three), strict=True))
 
 

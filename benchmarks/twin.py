@@ -31,15 +31,11 @@ from hdt_core.tracking.track import track
 KEY = ["tail", "flight_id", "pack"]
 UNIT = ["tail", "pack", "hx_unit"]
 GOALS = {
-    "fouling, mean absolute error": "<= 0.015",
-    "fouling, noise of healthy packs": "<= 0.003",
-    "fouling, Spearman of wearing packs": ">= 0.96",
-    "coverage of 90 %": "0.88-0.92",
-    "mean standard deviation": "<= 0.022",
-    "interval score": "<= 0.10",
-    "effective diameter, error [m]": "<= 0.0004",
+    "fouling, mean absolute error": "<= 0.015", "fouling, noise of healthy packs": "<= 0.003",
+    "fouling, Spearman of wearing packs": ">= 0.96", "coverage of 90 %": "0.88-0.92",
+    "mean standard deviation": "<= 0.022", "interval score": "<= 0.10", "effective diameter, error [m]": "<= 0.0004",
     "efficiency loss, error": "<= 0.004",
-}
+}  # fmt: skip
 
 
 class Fleet(NamedTuple):
