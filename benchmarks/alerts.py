@@ -52,9 +52,8 @@ def tally(fleet: Frames, alerts: pl.DataFrame | None = None) -> Tally:
     raised = [_alerted(f, alerts_on_pack) for f in failures.iter_rows(named=True)]
     failures = failures.with_columns(lead=pl.Series(raised, dtype=pl.Float64))
     flights = fleet["truth"].filter("arrived")["flight_id"].n_unique()
-    return Tally(
-        pl.concat([alerts_on_pack, marks], how="horizontal"), failures.select("tail", "component", "lead"), flights
-    )
+    marked = pl.concat([alerts_on_pack, marks], how="horizontal")
+    return Tally(marked, failures.select("tail", "component", "lead"), flights)
 
 
 def together(parts: list[Tally]) -> Tally:

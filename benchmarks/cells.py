@@ -33,9 +33,8 @@ from pipelines.orchestration.runs import BY, Runner, open_instance
 from pipelines.resources import report
 from pipelines.storage.ledger import Ledger
 
-FLIGHTS = [
-    f"{2016 + day // 336}{day // 28 % 12 + 1:02}{day % 28 + 1:02}_{leg:02}" for day in range(3334) for leg in (1, 2, 3)
-]
+DAYS = [f"{2016 + day // 336}{day // 28 % 12 + 1:02}{day % 28 + 1:02}" for day in range(3334)]
+FLIGHTS = [f"{day}_{leg:02}" for day in DAYS for leg in (1, 2, 3)]
 FLIGHTS = FLIGHTS[:10_000]
 REAL_RUNS = 5
 SERVER = os.environ.get("HDT_TEST_POSTGRES", "")
@@ -111,9 +110,8 @@ class History:
     def _record(self, event: EventLogEntry, batch: PartitionBatch) -> None:
         """Store the event as if a run had made the batch."""
         keys = resources.cell_keys(batch.cells)
-        materialization = dg.AssetMaterialization(
-            "empty", partition=keys[0], tags=get_tags_from_multi_partition_key(keys[0])
-        )
+        tags = get_tags_from_multi_partition_key(keys[0])
+        materialization = dg.AssetMaterialization("empty", partition=keys[0], tags=tags)
         dagster_event = event.get_dagster_event()._replace(event_specific_data=StepMaterializationData(materialization))
         log, run_id = self.instance.event_log_storage, str(uuid.uuid4())
         log.group_partitions(run_id, empty.key, keys)

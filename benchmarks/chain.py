@@ -99,9 +99,8 @@ def features(
 ) -> Tables:
     """Compute features and add each flight's demand."""
     compared = compare(samples, alone, dsm)
-    described = describe(
-        health, compared, verdicts, maintenance, twin_flights=alone, cross_checks=witnesses, demand=margin
-    )
+    own = {"twin_flights": alone, "cross_checks": witnesses, "demand": margin}
+    described = describe(health, compared, verdicts, maintenance, **own)
     key = [*PACK, "flight_id"]
     demands = margin.select(*key, *(c for c in (*CRITICAL, *MARGIN_FEATURES) if c not in described.columns))
     return {"features": described.join(demands, on=key, how="left", maintain_order="left")}

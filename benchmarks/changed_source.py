@@ -122,7 +122,5 @@ def _assigned(statement: ast.stmt) -> Iterator[tuple[str, ast.expr]]:
 
 
 def _has_number(node: ast.expr) -> bool:
-    return any(
-        isinstance(n, ast.Constant) and isinstance(n.value, int | float) and not isinstance(n.value, bool)
-        for n in ast.walk(node)
-    )
+    values = (n.value for n in ast.walk(node) if isinstance(n, ast.Constant))
+    return any(isinstance(v, int | float) and not isinstance(v, bool) for v in values)

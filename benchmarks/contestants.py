@@ -46,28 +46,21 @@ class Cases:
 def rows_of(fleet: Frames) -> Cases:
     """Build each contestant's inputs for all flights of a fleet."""
     lives = fleet["lives"]
-    truth = fleet["truth"].select(
-        "tail", "flight_id", "pack", "index", loss=1.0 - pl.min_horizontal("ua_ratio", "apparent_ua_ratio")
-    )
+    loss = 1.0 - pl.min_horizontal("ua_ratio", "apparent_ua_ratio")
+    truth = fleet["truth"].select("tail", "flight_id", "pack", "index", loss=loss)
     features = fleet["features"].join(truth, on=["tail", "flight_id", "pack"], how="left")
     measured = tracks(features, lives, "HX")
     true_ratio = (1.0 - pl.col("loss")).log()
     truly = features.with_columns(hx_fouling="loss", hx_fouling_sd=pl.lit(0.002), hx_ln_ua_ratio=true_ratio)
     ceiling = tracks(truly, lives, "HX")
-    frame = measured.keys.join(
-        features.drop("operator", "departed_at"), on=["tail", "flight_id", "pack"], how="left", maintain_order="left"
-    )
+    inputs_of = features.drop("operator", "departed_at")
+    frame = measured.keys.join(inputs_of, on=["tail", "flight_id", "pack"], how="left", maintain_order="left")
     raw, compared = _columns(frame, RAW), _columns(frame, RESIDUALS)
     health, true = (fleet_rows(t, PRIOR_RULES["HX"]).features for t in (measured, ceiling))
     inputs = dict(zip(SETS, (raw, np.hstack([raw, compared]), np.hstack([raw, compared, health]), true), strict=True))
     keys = frame.select("tail", "flight_id", "pack", "index", "loss", "life_id")
-    return Cases(
-        keys,
-        inputs | {"health": health, "health parameters alone": health},
-        measured.remaining,
-        measured.failed,
-        measured.at[:, 0],
-    )
+    every = inputs | {"health": health, "health parameters alone": health}
+    return Cases(keys, every, measured.remaining, measured.failed, measured.at[:, 0])
 
 
 def together(parts: list[Cases]) -> Cases:
@@ -97,9 +90,8 @@ class Learner:
         calibrating = np.isin(tails, np.unique(tails)[::3])
         informative = np.isfinite(cases.inputs[name][use & ~calibrating]).any(axis=0)
         x = np.where(informative, cases.inputs[name], 0.0)
-        model = fit_hazard(
-            x[use & ~calibrating], cases.remaining[use & ~calibrating], cases.failed[use & ~calibrating], seed
-        )
+        fitted = use & ~calibrating
+        model = fit_hazard(x[fitted], cases.remaining[fitted], cases.failed[fitted], seed)
         check = use & calibrating
         by = event_by(hazards([model], x[check]))
         left, failed, life = (v[check] for v in (cases.remaining, cases.failed, cases.life))
@@ -129,9 +121,8 @@ def extrapolated(taught: Cases, cases: Cases) -> pl.DataFrame:
     factor = np.quantile(np.minimum(taught.remaining, EDGES[-1])[has_ended] / left(taught)[has_ended], [0.05, 0.95])
     decided = (taught.remaining >= 1) & (taught.failed | (taught.remaining > 50))
     hit = taught.failed & (taught.remaining <= 50)
-    odds = IsotonicRegression(increasing=False, out_of_bounds="clip").fit(
-        left(taught)[decided], hit[decided].astype(float)
-    )
+    rule = IsotonicRegression(increasing=False, out_of_bounds="clip")
+    odds = rule.fit(left(taught)[decided], hit[decided].astype(float))
     middle_left = left(cases)
     low, high = np.sort(np.clip(np.outer(factor, middle_left), 0.0, 300.0), axis=0)
     return outcome(cases).with_columns(
@@ -145,9 +136,8 @@ def extrapolated(taught: Cases, cases: Cases) -> pl.DataFrame:
 
 def outcome(cases: Cases) -> pl.DataFrame:
     """Return each row's outcome in the columns of `score_prognoses`."""
-    rows = cases.frame.with_columns(
-        remaining=pl.Series(cases.remaining), failed=pl.Series(cases.failed), life=pl.Series(cases.life)
-    )
+    own = {"remaining": cases.remaining, "failed": cases.failed, "life": cases.life}
+    rows = cases.frame.with_columns(pl.Series(name, values) for name, values in own.items())
     hit = pl.col("failed") & pl.col("remaining").is_between(1, 50)
     return rows.with_columns(event_50=pl.when(hit).then(1.0).when(pl.col("remaining") > 50).then(0.0))
 
@@ -159,9 +149,8 @@ def lead_at_budget(forecasts: pl.DataFrame, early_per_1000: float = 2.0) -> tupl
     An alert holds until the risk falls to half of it.
     """
     life = ["tail", "pack", "life"]
-    ordered = forecasts.sort(*life, "index").with_columns(
-        risk=pl.col("risk").rolling_median(3, min_samples=1).over(life), first=pl.col("life").is_first_distinct()
-    )
+    risk = pl.col("risk").rolling_median(3, min_samples=1).over(life)
+    ordered = forecasts.sort(*life, "index").with_columns(risk=risk, first=pl.col("life").is_first_distinct())
     risk, loss, left = (ordered[c].to_numpy() for c in ("risk", "loss", "remaining"))
     first, failed, number = (ordered[c].to_numpy() for c in ("first", "failed", "life"))
     flights = ordered["flight_id"].n_unique()
@@ -196,11 +185,8 @@ def _columns(frame: pl.DataFrame, names: tuple[str, ...]) -> Array:
     parts = []
     for n in names:
         mean_10 = pl.col(n).rolling_mean(10, min_samples=1)
-        parts += [
-            pl.col(n),
-            mean_10.over(life).alias(f"{n}_10"),
-            (mean_10 - mean_10.shift(30)).over(life).alias(f"{n}_change"),
-        ]
+        change = (mean_10 - mean_10.shift(30)).over(life)
+        parts += [pl.col(n), mean_10.over(life).alias(f"{n}_10"), change.alias(f"{n}_change")]
         parts.append(pl.col(n).rolling_mean(40, min_samples=1).over(life).alias(f"{n}_40"))
     age = pl.int_range(pl.len()).over(life).cast(pl.Float64).alias("seen")
     return np.asarray(wide.select(*parts, age).cast(pl.Float64).to_numpy(), dtype=float)

@@ -64,10 +64,8 @@ def fleet(ua_w_k: float, n_flights: int = 1500, seed: int = 1) -> tuple[float, f
     )  # fmt: skip
     # all but the outlet is constant over a flight, so least squares is that of the mean outlet
     means = [column.reshape(-1, points).mean(axis=1) for column in (hot, seen_ram, seen_in, seen_out, seen_cold)]
-    h_w_k, ua_ratio = (
-        tied_coefficient_w_k(*means),
-        measured_conductance_w_k(*means) / clean_conductance_w_k(*means[:2], **design),
-    )
+    h_w_k = tied_coefficient_w_k(*means)
+    ua_ratio = measured_conductance_w_k(*means) / clean_conductance_w_k(*means[:2], **design)
     explained = h_w_k > 0.0
     clean = np.arange(n_flights) < n_flights // 4
     spread = np.std(np.log(ua_ratio / ua_share[::points])[clean])
@@ -97,9 +95,8 @@ def time_constants_s(mass_kg: float) -> np.ndarray:
     model = lumped_exchanger("exact")
     values = model.nominal | {"hx_mass_hot_kg": mass_kg, "hx_mass_cold_kg": mass_kg}
     values |= {"hot_flow_kg_s": HOT_KG_S, "ram_flow_kg_s": 1.6, "hot_in_k": HOT_IN_K, "cold_in_k": COLD_IN_K}
-    columns = [
-        model.rates(**values, hot_volume_k=300.0 + a, cold_volume_k=280.0 + b) for a, b in ((0, 0), (1, 0), (0, 1))
-    ]
+    steps = ((0, 0), (1, 0), (0, 1))
+    columns = [model.rates(**values, hot_volume_k=300.0 + a, cold_volume_k=280.0 + b) for a, b in steps]
     matrix = np.array([np.subtract(columns[1], columns[0]), np.subtract(columns[2], columns[0])]).T
     return np.sort(-1.0 / np.linalg.eigvals(matrix).real)[::-1]
 
@@ -157,23 +154,13 @@ def figure(folder: Path) -> Path:
         middle.plot(ua, h / 1e3, color=colour, label=f"ram {ram} kg/s")
         middle.axvline(last_explained_ua_w_k(ram), color=colour, linestyle=":", linewidth=1.0)
     ntu = ua / (HOT_KG_S * CP_HOT_J_KG_K)
-    left.plot(
-        ua,
-        counterflow_effectiveness(ntu, np.full_like(ntu, 0.9 / 1.6)),
-        "k:",
-        linewidth=1.0,
-        label="counterflow, 1.6 kg/s",
-    )
-    left.set(
-        xlabel="UA [W/K]",
-        ylabel="hot-side effectiveness [-]",
-        title="Dashed: ceiling of equations (7)-(8)",
-        ylim=(0, 1),
-    )
+    counterflow = counterflow_effectiveness(ntu, np.full_like(ntu, 0.9 / 1.6))
+    left.plot(ua, counterflow, "k:", linewidth=1.0, label="counterflow, 1.6 kg/s")
+    title = "Dashed: ceiling of equations (7)-(8)"
+    left.set(xlabel="UA [W/K]", ylabel="hot-side effectiveness [-]", title=title, ylim=(0, 1))
     middle.axhline(0.0, color="k", linewidth=0.8)
-    middle.set(
-        xlabel="true UA [W/K]", ylabel="H fitted by (7)-(8) [kW/K]", title="H runs through infinity", ylim=(-30, 30)
-    )
+    names = {"xlabel": "true UA [W/K]", "ylabel": "H fitted by (7)-(8) [kW/K]"}
+    middle.set(**names, title="H runs through infinity", ylim=(-30, 30))
     uas = np.arange(600.0, 2601.0, 100.0)
     right.plot(uas, [100.0 * fleet(u, 400)[0] for u in uas], "o-", color="tab:purple", markersize=4)
     right.axvspan(1200.0, 2500.0, color="0.9", zorder=0, label="plausible pack exchanger")

@@ -118,9 +118,8 @@ def group_error(cruise: pl.DataFrame, corrections: pl.DataFrame, seed: int) -> f
     bias = FLOW_BIAS * rng.standard_normal(pack.max() + 1)
     flow = inlet_flow_kg_s(group, *(cruise[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")))
     metered = flow * (1.0 + bias[pack] + FLOW_NOISE * rng.standard_normal(len(flow)))
-    fit = fit_compressor(
-        compressor_samples(cruise.with_columns(cc_flow_kg_s=pl.Series(metered).fill_nan(None)), corrections)
-    )
+    metered_flow = cruise.with_columns(cc_flow_kg_s=pl.Series(metered).fill_nan(None))
+    fit = fit_compressor(compressor_samples(metered_flow, corrections))
     return fit.group_m3 / group - 1.0
 
 
@@ -132,18 +131,13 @@ def renewals(samples: pl.DataFrame, maintenance: pl.DataFrame, truth: pl.DataFra
     sound = ~pl.col("icing") & ~pl.col("door_fault") & (pl.col("sensor_fault") == "")
     results = {}
     for name, log in (("logged", maintenance), ("silent", maintenance.clear())):
-        health = (
-            track(alone, log, dsm)
-            .health.filter(parameter="hx_fouling")
-            .join(true, on=KEY)
-            .sort("tail", "pack", "index")
-        )
+        fouling = track(alone, log, dsm).health.filter(parameter="hx_fouling")
+        health = fouling.join(true, on=KEY).sort("tail", "pack", "index")
         off = (pl.col("value") - pl.col("loss")).abs()
         unit = ["tail", "pack", "hx_unit"]
         since = pl.col("index") - pl.col("index").min().over(unit)
-        removed = (
-            health.group_by(unit).agg(pl.col("loss").last().alias("gone")).with_columns(hx_unit=pl.col("hx_unit") + 1)
-        )
+        last = health.group_by(unit).agg(pl.col("loss").last().alias("gone"))
+        removed = last.with_columns(hx_unit=pl.col("hx_unit") + 1)
         after = health.with_columns(since.alias("since")).join(removed, on=unit)
         after = after.filter((pl.col("gone") > 0.15) & (pl.col("since") == 10) & sound)
         results[f"renewed_{name}"] = after.select((off < 0.05).sum()).item()

@@ -204,9 +204,8 @@ def standing_cells() -> dict[str, dict[str, str]]:
     lines = PAGE.read_text().splitlines()
     moved = [line.removeprefix("- ").partition(" -> ") for line in lines if line[:3] == "- `"]
     names = re.findall("`[^`]+`", " ".join(line for line in lines if line.startswith(UNMOVED)))
-    cells = {
-        left.partition(": ")[0]: dict(re.findall(r"(\w+?(?:/2|x2)): ([^;]+)", effects)) for left, _, effects in moved
-    }
+    figures = r"(\w+?(?:/2|x2)): ([^;]+)"
+    cells = {left.partition(": ")[0]: dict(re.findall(figures, effects)) for left, _, effects in moved}
     return {name: {} for name in names} | cells
 
 

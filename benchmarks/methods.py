@@ -108,9 +108,8 @@ def _compared(health: pl.DataFrame, pack: Pack, seconds: float) -> Result:
 def chain(plane: Aircraft) -> list[Result]:
     """Calibrate all parts of an aircraft together and track them, as the night does."""
     (fleet, legs), started = plane, time.process_time()
-    first = (
-        flights_of(fleet.samples).select("flight_id", "departed_at").unique().sort("departed_at").head(CALIBRATED_ON)
-    )
+    flights = flights_of(fleet.samples).select("flight_id", "departed_at").unique()
+    first = flights.sort("departed_at").head(CALIBRATED_ON)
     samples, admitted = (f.join(first, on="flight_id", how="semi") for f in (fleet.samples, legs))
     dsm = calibrate(samples, admitted, fleet.maintenance)
     estimates = estimate_flights(fleet.samples.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi"), dsm)

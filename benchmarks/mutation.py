@@ -162,10 +162,8 @@ def survives(mutant: tuple[str, str, str], seconds: dict[str, float]) -> bool:
     """Try one mutant (module, source, changed source)."""
     module, source, changed = mutant
     Path(module).write_text(changed)
-    alive = all(
-        passes(files, Path("mutant.log"), 20 + 6 * sum(seconds[file] for file in files))
-        for files in batches(module, seconds)
-    )
+    log = Path("mutant.log")
+    alive = all(passes(files, log, 20 + 6 * sum(seconds[f] for f in files)) for files in batches(module, seconds))
     Path(module).write_text(source)
     return alive
 

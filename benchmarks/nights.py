@@ -41,9 +41,8 @@ class Flown:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.rows = pl.concat(
-            [pl.read_parquet(f) for f in sorted((folder / "acms").glob("*.parquet"))], how="diagonal_relaxed"
-        )
+        files = sorted((folder / "acms").glob("*.parquet"))
+        self.rows = pl.concat([pl.read_parquet(f) for f in files], how="diagonal_relaxed")
         self.flights, self.again = self.rows["flight_id"].unique().sort(), 0
         self.last = self.rows["report_time"].max().date()
 

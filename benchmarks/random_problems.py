@@ -190,9 +190,8 @@ def exchanger(rng: np.random.Generator) -> Trial:
     inputs = {s.name: inputs.get(s.name, np.zeros(k)) for s in HEAT_EXCHANGER.inputs}
     truth = {p.name: p.nominal * rng.uniform(0.8, 1.2) for p in HEAT_EXCHANGER.params if p.name in names}
     clean = HEAT_EXCHANGER.predict(truth, inputs)
-    measured = {
-        s.name: clean[s.name] + s.sigma * rng.standard_normal(k) for s in HEAT_EXCHANGER.outputs if s.sigma is not None
-    }
+    known = [s for s in HEAT_EXCHANGER.outputs if s.sigma is not None]
+    measured = {s.name: clean[s.name] + s.sigma * rng.standard_normal(k) for s in known}
     return declared_problem(HEAT_EXCHANGER, names, inputs, measured), np.array([truth[name] for name in names])
 
 

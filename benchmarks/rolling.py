@@ -46,11 +46,9 @@ def forecasts(fleet: Frames, component: str) -> dict[str, pl.DataFrame]:
     by_contestant = {"product": product, "base alone": by_base, "physics alone": _physics(track, rows, component)}
     if component == "HX":
         by_contestant["logistic hazard"] = _logistic(record, track, rows, component)
-    on_record = pl.DataFrame(
-        [(month, _failures(record, month, component)) for month in record.months()],
-        schema={"month": pl.Date, "failures_on_record": pl.Int64},
-        orient="row",
-    )
+    counted = [(month, _failures(record, month, component)) for month in record.months()]
+    schema = {"month": pl.Date, "failures_on_record": pl.Int64}
+    on_record = pl.DataFrame(counted, schema=schema, orient="row")
     return {
         name: join_outcomes(prognoses, record.features, lives, component)
         .with_columns(month=pl.col("departed_at").dt.month_start().dt.date())

@@ -18,11 +18,8 @@ def record(home: Path) -> Tables:
     """Read the record a chain starts from."""
     store = Store(home)
     snapshots = pl.concat([store.read_table("raw_snapshots"), store.read_table("raw_logs")])
-    return {
-        "snapshots": snapshots,
-        "maintenance": store.read_table("raw_maintenance"),
-        "messages": store.read_table("raw_messages"),
-    }
+    logs = {name: store.read_table(f"raw_{name}") for name in ("maintenance", "messages")}
+    return {"snapshots": snapshots, **logs}
 
 
 def truth(folder: Path) -> Tables:
@@ -43,10 +40,8 @@ def true_lives(features: pl.DataFrame, truth: pl.DataFrame, events: pl.DataFrame
     index = truth.select("tail", "flight_id", "pack", "index")
     flown = flight_rows(features).join(index, on=["tail", "flight_id", "pack"])
     units = events.filter(component="HX").select(*PACK, "installed_index", "message_index", "removal_index")
-    ends = units.with_columns(
-        ends=pl.min_horizontal("message_index", "removal_index"),
-        next=pl.col("installed_index").sort().shift(-1).over(PACK, order_by="installed_index"),
-    )
+    following = pl.col("installed_index").sort().shift(-1).over(PACK, order_by="installed_index")
+    ends = units.with_columns(ends=pl.min_horizontal("message_index", "removal_index"), next=following)
     rows = flown.join(ends, on=PACK).filter(pl.col("index") >= pl.col("installed_index"))
     until = pl.col("next").is_null() | (pl.col("index") < pl.col("next"))
     before = pl.col("ends").is_null() | (pl.col("index") < pl.col("ends"))

@@ -31,10 +31,8 @@ def censored_scores(prognoses: pl.DataFrame, risk: str) -> dict[str, float]:
     survival = Surv.from_arrays(rows["failed"].to_numpy() & (rows["remaining"].to_numpy() < END), left)
     risks = rows[risk].to_numpy()
     concordant = concordance_index_ipcw(survival, survival, risks, tau=END - 1.0)[0]
-    brier, same = (
-        float(brier_score(survival, survival, 1.0 - p, [HORIZON])[1][0])
-        for p in (risks, np.full(risks.size, _by(survival)))
-    )
+    both = (risks, np.full(risks.size, _by(survival)))
+    brier, same = (float(brier_score(survival, survival, 1.0 - p, [HORIZON])[1][0]) for p in both)
     return {"c_index": float(concordant), "brier_100_skill": 1.0 - brier / same}
 
 

@@ -60,10 +60,8 @@ def night(folder: Path) -> tuple[Outcome, pl.DataFrame]:
     nightly.run_night(folder / "landing", home, Silent())
     store = Store(home)
     dsm = Dsm.from_dict(json.loads(store.read_table("calibration_dsm")["model"][0]))
-    now, terms_proposed = (
-        Outcome(residual(home), *errors(store, folder / "truth")),
-        propose_terms(home, dsm).filter("proposed"),
-    )
+    now = Outcome(residual(home), *errors(store, folder / "truth"))
+    terms_proposed = propose_terms(home, dsm).filter("proposed")
     terms = {name: round(value, 3) for name, value in dsm.terms.items()}
     print(f"  has {terms}: residual {now.residual:.4f}, loss off by {now.bias:+.4f}, {now.error:.4f} absolute")
     print("  proposed:", terms_proposed.select("term", "value", "sd", "bic_gain", "held_out_change").rows(), flush=True)
@@ -87,9 +85,8 @@ def compare(seed: int) -> None:
     """Compare a fleet as it is with one that has a term the model lacks."""
     floor, lacking = fleet(seed, {})[0], fleet(seed, {"water_spray": 0.2})
     before, after = lacking[0], lacking[-1]
-    explained = 1.0 - np.sqrt(
-        max(after.residual**2 - floor.residual**2, 0.0) / (before.residual**2 - floor.residual**2)
-    )
+    left = max(after.residual**2 - floor.residual**2, 0.0)
+    explained = 1.0 - np.sqrt(left / (before.residual**2 - floor.residual**2))
     print(
         f"seed {seed}: residual held out {after.residual / before.residual - 1.0:+.0%} ({before.residual:.4f} to "
         f"{after.residual:.4f}, {floor.residual:.4f} where nothing is missing: {explained:.0%} of it explained); "

@@ -136,9 +136,8 @@ def bootstrap(rows: pl.DataFrame, name: str, draws: int) -> tuple[float, float]:
     for _ in range(draws):
         picks = rng.integers(0, len(by_fleet), len(by_fleet))
         resampled = pl.concat(by_fleet[k].with_columns(seed=pl.lit(j)) for j, k in enumerate(picks))
-        numbers.append(
-            (fouling_numbers(resampled) if name in fouling_numbers(resampled) else compressor_numbers(resampled))[name]
-        )
+        fouling = fouling_numbers(resampled)
+        numbers.append((fouling if name in fouling else compressor_numbers(resampled))[name])
     return float(np.quantile(numbers, 0.05)), float(np.quantile(numbers, 0.95))
 
 

@@ -210,9 +210,8 @@ def run(folder: Path) -> Result:
         return lambda i: float(each[i].mean() / constant_interval_score(rows.left[i]))
 
     covered = {name: coverage(prediction, rows.left) for name, prediction in (("ours", ours), ("bare", bare))}
-    middle = {
-        name: np.abs(quantile(prediction.by, 0.5) - rows.left) for name, prediction in (("ours", ours), ("bare", bare))
-    }
+    predictions = {"ours": ours, "bare": bare}
+    middle = {name: np.abs(quantile(p.by, 0.5) - rows.left) for name, p in predictions.items()}
     scores = [
         scored("90 % interval, coverage", "0.88-0.92", rows.life, lambda i: float(covered["ours"][i].mean())),
         scored("interval score over a constant's", "<= 0.70", rows.life, over_constant(ours)),

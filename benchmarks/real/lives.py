@@ -48,9 +48,8 @@ def of_table(file: Path) -> Score:
     for seed in range(SPLITS):
         is_test = np.random.default_rng(seed).random(life.size) < 0.1
         followed_by = None if followed is None else followed[~is_test]
-        shares.append(
-            share_within(life[is_test], ended[is_test], life_bounds(life[~is_test], ended[~is_test], followed_by))
-        )
+        bounds = life_bounds(life[~is_test], ended[~is_test], followed_by)
+        shares.append(share_within(life[is_test], ended[is_test], bounds))
     return scored(
         f"{file.stem}: coverage of 90 % bounds",
         "0.89-0.91",
