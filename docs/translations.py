@@ -10,8 +10,8 @@ from babel.messages.pofile import read_po, write_po
 
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from pipelines.report import words
-from pipelines.report.cards import STATES, STATUSES
 from pipelines.report.tasks import ACTIONS
+from pipelines.report.tonight import STATES, STATUSES
 from pipelines.words import ENGLISH
 from pipelines.words.evidence import phrases
 

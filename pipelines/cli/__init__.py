@@ -6,8 +6,7 @@ import sys
 
 from hdt_core.loading import UserError, load_entry_points
 from pipelines.cli import cases, look, make, night, serve, share
-from pipelines.cli.base import StopError, UsageError, app, out, print_error
-from pipelines.cli.stops import StoppedError, stop_in_order
+from pipelines.cli.base import StopError, StoppedError, UsageError, app, out, print_error, stop_in_order
 
 __all__ = ["app", "cases", "look", "main", "make", "night", "serve", "share"]
 

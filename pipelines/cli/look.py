@@ -10,8 +10,7 @@ import polars as pl
 import typer
 from rich.table import Table
 
-from pipelines.cli.base import AsJson, HomeDir, Language, StopError, app, home_folder, out, print_error
-from pipelines.cli.stops import stop_at_once
+from pipelines.cli.base import AsJson, HomeDir, Language, StopError, app, home_folder, out, print_error, stop_at_once
 
 if TYPE_CHECKING:
     from hdt_core.calibration.dsm import Dsm

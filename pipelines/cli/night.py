@@ -24,8 +24,8 @@ from pipelines.cli.base import (
     landing_folder,
     out,
     print_error,
+    stop_at_once,
 )
-from pipelines.cli.stops import stop_at_once
 from pipelines.orchestration.local_executor import cores
 from pipelines.storage.settings import MAX_DAYS
 

@@ -57,8 +57,7 @@ def _over_diffuser(
 ) -> "Figure":
     """Draw a column, a dot a flight, and a fitted line over the positions on record; `unit` is a thousandth of its."""
     figure, axes = _figure()
-    rows = twin_flights.drop_nulls(["vda_counts", column])
-    rows = rows.gather_every(max(1, -(-rows.height // MOST_DOTS)))
+    rows = _thinned(twin_flights.drop_nulls(["vda_counts", column]))
     at = rows["vda_counts"].to_numpy()
     convert, unit = _scale(unit, system)
     axes.plot(at, convert(1e3 * rows[column].to_numpy()), ".", ms=5, alpha=0.5, color=BLUE, mew=0)
@@ -67,6 +66,10 @@ def _over_diffuser(
         axes.plot(ends, convert(1e3 * line(ends)), color=VERMILLION)
     axes.set(xlabel=_("diffuser actuator, counts"), ylabel=f"{name}, {unit}")
     return figure
+
+
+def _thinned(rows: pl.DataFrame) -> pl.DataFrame:
+    return rows.gather_every(max(1, -(-rows.height // MOST_DOTS)))
 
 
 def _scale(unit: str, system: str) -> tuple[Callable[[Array], Array], str]:
@@ -87,6 +90,7 @@ def figure_15(samples: pl.DataFrame, system: str = "si") -> "Figure":
     figure = Figure(figsize=(6.4, 4.8))
     figure.subplots_adjust(*MARGINS, hspace=0.08)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+    samples = _thinned(samples)  # a log of hours at 1 Hz would be megabytes of the page
     columns = (samples[c].to_numpy() for c in ("hx_out_k", "sensor_minus_twin", "sensor_minus_dsm"))
     sensor, twin_residual, model_residual = columns
     convert, unit = _scale("°C", system)

@@ -23,8 +23,8 @@ from pipelines.casework import ACTIONS, KINDS, OPEN, RefusedError, change_case, 
 from pipelines.digest.changes import Digest, changes_since
 from pipelines.digest.render import lines
 from pipelines.report import words
-from pipelines.report.cards import tonight_with_cards
 from pipelines.report.facts import read_facts
+from pipelines.report.tonight import tonight_with_cards
 from pipelines.storage.cases import ConflictError
 from pipelines.storage.catalog import catalog_version
 from pipelines.storage.database import DatabaseError

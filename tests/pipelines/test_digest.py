@@ -11,11 +11,10 @@ from small_catalog import catalog, fouling
 from typer.testing import CliRunner
 
 from pipelines.cli import app
+from pipelines.digest.changes import EMPTY, compare, read_state
 from pipelines.digest.changes import changes_since as since
-from pipelines.digest.changes import compare
 from pipelines.digest.orders import work_orders
 from pipelines.digest.render import as_html, as_json, as_text
-from pipelines.digest.state import EMPTY, read_state
 from pipelines.storage.catalog import connect
 
 

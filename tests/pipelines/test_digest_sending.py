@@ -21,7 +21,7 @@ from digest_nights import FIRST, SECOND, publish_night
 from typer.testing import CliRunner
 
 from pipelines.cli import app
-from pipelines.digest import declaration, delivery, senders
+from pipelines.digest import declaration, delivery
 from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.digest.delivery import send_digests
 from pipelines.storage.publication import publish
@@ -43,7 +43,7 @@ def home(one_night, tmp_path) -> Path:
 
 @pytest.fixture(autouse=True)
 def no_waits(monkeypatch):
-    monkeypatch.setattr(senders, "WAITS_S", (0.0, 0.0))
+    monkeypatch.setattr(delivery, "WAITS_S", (0.0, 0.0))
 
 
 class Post(NamedTuple):

@@ -14,7 +14,15 @@ from hdt_core.tables.raw import RawMaintenance
 from pipelines.assets.calibration import calibration_metadata
 from pipelines.report import figures
 from pipelines.report.facts import Facts
-from pipelines.report.plots import around_replacement, as_svg, figure_12, figure_13, figure_15, outlet_residuals
+from pipelines.report.plots import (
+    MOST_DOTS,
+    around_replacement,
+    as_svg,
+    figure_12,
+    figure_13,
+    figure_15,
+    outlet_residuals,
+)
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +88,8 @@ def test_figure_15_shows_what_the_twins_flight_leaves_over_and_converts_it(calib
     assert sensor - twin == pytest.approx(rows["sensor_minus_twin"].to_numpy())
     assert upper_us.lines[0].get_ydata() == pytest.approx(1.8 * sensor + 32.0)
     assert lower_us.lines[-1].get_ydata() == pytest.approx(1.8 * lower.lines[-1].get_ydata())
+    many = pl.concat([rows] * (1 + 2 * MOST_DOTS // rows.height))
+    assert MOST_DOTS / 2 < len(figure_15(many).axes[0].lines[0].get_ydata()) <= MOST_DOTS
 
 
 def test_the_deepest_loss_before_a_replacement_is_shown_from_the_first_flight_after_it():

@@ -12,9 +12,8 @@ from spoils import Spoil, column, field
 
 from pipelines.cli.base import app
 from pipelines.cli.doctor import FILES_A_FOLDER, examine, sample_files
-from pipelines.digest.changes import compare
+from pipelines.digest.changes import EMPTY, compare, read_state
 from pipelines.digest.render import as_text
-from pipelines.digest.state import EMPTY, read_state
 from pipelines.intake.faults import MAX_LINES, ignored_entries, quarantine_line, silent_columns, silent_lines
 from pipelines.intake.ingest import ingest_flights
 from pipelines.intake.landing import list_landing, scan

@@ -15,7 +15,7 @@ from dagster._core.errors import DagsterExecutionInterruptedError
 from nights import run
 
 from pipelines.assets import twin
-from pipelines.cli.stops import StoppedError, stop_in_order
+from pipelines.cli.base import StoppedError, stop_in_order
 from pipelines.definitions import build_defs
 from pipelines.lineage import STAGE
 from pipelines.orchestration.around_night import lock_home

@@ -8,9 +8,9 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipelines.report.cards import tonight_with_cards
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import page, write_report
+from pipelines.report.tonight import tonight_with_cards
 from pipelines.report.tracks import DAY_MS, SIDE, Frame, drawing, fleet_band, tracks
 from pipelines.report.words import day, diagnosis, pack_name
 from pipelines.storage.publication import publish

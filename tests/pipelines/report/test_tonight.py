@@ -12,8 +12,8 @@ from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.alerts.phrases import THEN
 from hdt_core.components import components
 from pipelines.report.facts import Facts, read_facts
+from pipelines.report.page import thresholds
 from pipelines.report.tasks import ACTIONS, Task, action_of, read_tasks, tasks_of, work_text
-from pipelines.report.thresholds import thresholds
 from pipelines.report.tonight import tonight
 from pipelines.storage.catalog import connect
 from pipelines.storage.objects import StoreError
