@@ -8,6 +8,7 @@ from dagster_batched import celery
 
 AT_WORK = {"one@a": [{"id": "task-1"}], "two@b": []}
 RUNNING, LOST = WorkerStatus.RUNNING, WorkerStatus.NOT_FOUND
+BEGUN_ANEW = ((AT_WORK, 100, RUNNING), (AT_WORK, 61, LOST))
 NOBODY = (None, celery.OperationalError("refused"), ConnectionResetError())
 
 
@@ -39,11 +40,10 @@ def run_of(task: str | None) -> dg.DagsterRun:
     [
         ("task-1", [(AT_WORK, 0, RUNNING)]),
         ("task-2", [(AT_WORK, 0, RUNNING), (AT_WORK, 59, RUNNING), (AT_WORK, 2, LOST)]),
-        *(("task-2", [(AT_WORK, 0, RUNNING), (nobody, 100, RUNNING), (AT_WORK, 100, RUNNING), (AT_WORK, 61, LOST)])
-          for nobody in NOBODY),
+        *(("task-2", [(AT_WORK, 0, RUNNING), (nobody, 100, RUNNING), *BEGUN_ANEW]) for nobody in NOBODY),
         (None, [(AT_WORK, 100, RUNNING)] * 3),
     ],
-)  # fmt: skip
+)
 def test_a_run_that_nobody_is_at_is_lost_after_a_while_in_which_workers_answer(watched_launcher, task, looks):
     """A run that was never sent out is not the workers'."""
     (launcher, workers), run = watched_launcher, run_of(task)

@@ -72,16 +72,13 @@ def test_who_is_killed_at_the_copy_leaves_a_ledger_that_is_whole(ledger, monkeyp
     assert ledger.cells("raw_flights")["version"].to_list() == ["v2"]
 
 
-def test_a_torn_ledger_is_put_back_as_it_was_though_written_since(ledger):
+def test_a_torn_ledger_is_put_back_as_it_was_and_without_a_whole_copy_taken_in_again(ledger):
     ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
     ledger.flush()
     path = ledger.home / "ledger.sqlite"
     path.write_bytes(path.read_bytes()[:5000])
     assert repair_ledger(ledger)
     assert ledger.cells("raw_flights").equals(CELL)
-
-
-def test_without_a_whole_copy_all_is_taken_in_again(ledger):
     for file in (*ledger.home.glob("*.copy"), ledger.home / "ledger.sqlite"):
         file.write_bytes(b"nothing")
     assert "taken in again" in str(repair_ledger(ledger))

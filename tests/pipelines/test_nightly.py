@@ -14,9 +14,15 @@ from pipelines.storage.catalog import connect
 from pipelines.storage.store import Store
 
 COMPARED = (
-    "raw_snapshots", "raw_flights", "legs_samples", "calibration_dsm", "twin_flights", "twin_health", "features",
+    "raw_snapshots",
+    "raw_flights",
+    "legs_samples",
+    "calibration_dsm",
+    "twin_flights",
+    "twin_health",
+    "features",
     "prognoses",
-)  # fmt: skip
+)
 
 
 def made_since(home, asset: str, since: float) -> set[str]:

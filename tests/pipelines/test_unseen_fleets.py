@@ -109,10 +109,16 @@ def out_of_order_and_corrected(landing: Path) -> Deliveries:
 RAW = ("raw_snapshots", "raw_messages", "raw_maintenance", "raw_fleet")
 
 SCENARIOS = (
-    one_flight_and_nothing_else, an_empty_zone_then_papers_then_flights, logs_alone, history_alone_in_other_types,
-    two_operators_one_tail_few_columns, never_off_the_ground, one_snapshot_of_one_pack_a_flight, only_rubbish,
+    one_flight_and_nothing_else,
+    an_empty_zone_then_papers_then_flights,
+    logs_alone,
+    history_alone_in_other_types,
+    two_operators_one_tail_few_columns,
+    never_off_the_ground,
+    one_snapshot_of_one_pack_a_flight,
+    only_rubbish,
     out_of_order_and_corrected,
-)  # fmt: skip
+)
 
 
 @pytest.fixture

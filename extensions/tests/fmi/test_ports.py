@@ -10,10 +10,9 @@ from hdt_core.physics.installed_exchanger import RAM_DUCT
 from hdt_core.physics.model import Signal
 from hdt_fmi.ports import PACK, compose
 
-FLIGHT = {
-    "cc_speed_rad_s": 3194.0, "cc_in_k": 251.0, "cc_in_pa": 37.6e3, "vda_counts": 300.0, "tat_k": 250.0, "mach": 0.85,
-    "ram_door_open": np.array([0.1, 0.3, 0.9]), "total_pressure_pa": 37.6e3, "altitude_m": 10668.0,
-}  # fmt: skip
+AIR = {"tat_k": 250.0, "mach": 0.85, "total_pressure_pa": 37.6e3, "altitude_m": 10668.0}
+STATION = {"cc_speed_rad_s": 3194.0, "cc_in_k": 251.0, "cc_in_pa": 37.6e3, "vda_counts": 300.0}
+FLIGHT = AIR | STATION | {"ram_door_open": np.array([0.1, 0.3, 0.9])}
 WIRES = {
     "heat_exchanger.hot_in_k": "compressor.cc_out_k",
     "heat_exchanger.hot_flow_kg_s": "compressor.cc_flow_kg_s",

@@ -21,15 +21,12 @@ GOOD = {
     "BZR/A9-BAB/acms/odd name (1).csv": ("BZR", "A9-BAB", "acms"),
     "BZR/A9-BAB/acms/history_2024-05 (1).PARQUET": ("BZR", "A9-BAB", "history"),
 }
+UNLIKE = (("acms", "xlsx"), ("acms", "csv.gz"), ("cpl", "csv"))
 STRAY = [
     "readme.txt",
     "AQX/notes.csv",
-    "aqx/LX-AAA/acms/LX-AAA_20240525_04.csv",
-    "AQX/lx_aaa/acms/LX-AAA_20240525_04.csv",
-    "AQX/LX-AAA/acsm/LX-AAA_20240525_04.csv",
-    "AQX/LX-AAA/acms/LX-AAA_20240525_04.xlsx",
-    "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv.gz",
-    "AQX/LX-AAA/cpl/LX-AAA_20240525_04.csv",
+    *(f"{folder}/LX-AAA_20240525_04.csv" for folder in ("aqx/LX-AAA/acms", "AQX/lx_aaa/acms", "AQX/LX-AAA/acsm")),
+    *(f"AQX/LX-AAA/{folder}/LX-AAA_20240525_04.{kind}" for folder, kind in UNLIKE),
     "AQX/LX-AAA/acms/line\nbreak.csv",
     "AQX/LX-AAA/acms/\udcff.csv",
 ]

@@ -214,7 +214,7 @@ FIELDS = {"close": ("finding", "action", "on", "reference"), "mute": ("until", "
 SOUND = {"seen": "7", "note": "n", "assignee": "Bo", "until": "2024-06-19", "finding": "clean", "action": "inspected"}
 
 
-def test_no_value_of_a_form_breaks_the_page(page, home):
+def test_no_value_of_a_form_and_no_address_breaks_the_page(page, home):
     client = page("Eng")
     for (kind, fields), value in itertools.product(FIELDS.items(), VALUES):
         for field in fields:
@@ -222,10 +222,6 @@ def test_no_value_of_a_form_breaks_the_page(page, home):
             sound = (kind, field, value) == ("watch", "seen", "0")
             assert answer.status_code in ({200} if sound else {400, 409, 413, 422}), (kind, field, value)
     assert len(history_of(home, "wear")) == 1
-
-
-def test_no_address_breaks_the_page(page):
-    client = page("Eng")
     for place, value in itertools.product(("/", "/case/", "/case/wear/", "//", "/?all=", "/?token="), VALUES):
         where = (place + quote(value, errors="surrogatepass")).encode()[:20_000]
         for method in ("GET", "POST"):
