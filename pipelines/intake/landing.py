@@ -314,7 +314,7 @@ def _kind_of(file: LandingFile, flights: dict[str, list[str]]) -> str:
 def _digest(file: LandingFile) -> str:
     """Hash the content, empty where it cannot be read, which intake reports; with the file's context."""
     try:
-        content = _hash_file(Path(file.full_path))
+        content = _hash_file(Path(file.landing, file.path))
     except OSError:
         content = ""
     return f"{content} {file.context}" if file.context else content

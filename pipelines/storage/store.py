@@ -168,7 +168,7 @@ def _shards_with(
     entry: StoredTable, folders: Iterable[str], flights: Iterable[str], stored: Collection[str]
 ) -> list[str]:
     """List shards of some aircraft in which some flights can be; `stored` are those of the whole table."""
-    names = _with_shard(flights, entry)["shard"].unique().sort()
+    names = _with_shard(flights, entry.shard_of)["shard"].unique().sort()
     pairs = ((f"{folder}/{n}", f"{folder}/{_year(n)}") for folder in folders for n in names)
     return list(dict.fromkeys(shard if shard in stored else year for shard, year in pairs))
 
@@ -192,8 +192,9 @@ def without_folded(entry: StoredTable, frames: Mapping[str, pl.DataFrame]) -> di
 
 def merge_flights(entry: StoredTable, folder: str, flights: Iterable[str], frame: pl.DataFrame) -> Change:
     """Replace the rows of `flights` in an aircraft's shards by `frame`."""
-    ids = {name: rows["flight_id"] for name, rows in _by_shard(_with_shard(flights, entry)).items()}
-    fresh = _by_shard(frame.with_columns(entry.shard_of))
+    own_shard = entry.shard_of
+    ids = {name: rows["flight_id"] for name, rows in _by_shard(_with_shard(flights, own_shard)).items()}
+    fresh = _by_shard(frame.with_columns(own_shard))
 
     def change(shards: StoredShards) -> Iterator[tuple[str, pl.DataFrame | None]]:
         stored = {s for s in shards if s.startswith(f"{folder}/")}
@@ -240,5 +241,5 @@ def _by_shard(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
     return {str(name): part for (name,), part in parts.items()}
 
 
-def _with_shard(flights: Iterable[Any], entry: StoredTable) -> pl.DataFrame:
-    return pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(entry.shard_of)
+def _with_shard(flights: Iterable[Any], own_shard: pl.Expr) -> pl.DataFrame:
+    return pl.DataFrame({"flight_id": list(flights)}, schema={"flight_id": pl.String}).with_columns(own_shard)
