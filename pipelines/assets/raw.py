@@ -31,7 +31,7 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
     stored = home.store.read_table("raw_fleet")
     lists = [(f, or_stored(read_fleet(f, now), stored)) for f in landing_files(landing, ledger.files(["fleet"]))]
     fleet = lists[0][1].rows if lists else stored  # a missing list removes no aircraft
-    checks = [(f, read_checks(f, now)) for f in landing_files(landing, ledger.files(["checks"]))]
+    checks = [(f, _checks(f, now, home)) for f in landing_files(landing, ledger.files(["checks"]))]
     costs, cost_faults = costs_or_fault(Path(home.home))
     without_flight = read_snapshots(landing_files(landing, ledger.files([WITHOUT_FLIGHT])), now)
     accounts = without_flight.delivered.select(
@@ -46,6 +46,12 @@ def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
         pl.concat([RawChecks.create_empty(), *(x.rows for _, x in checks)], how="diagonal_relaxed").unique(),
         costs,
     )
+
+
+def _checks(file: LandingFile, now: datetime, home: Home) -> FileIntake:
+    """Read planned checks; a file that can't be read cancels none that is stored, one without a line does."""
+    intake = read_checks(file, now)
+    return or_stored(intake, home.store.read_table("raw_checks")) if intake.quarantine.height else intake
 
 
 @stage

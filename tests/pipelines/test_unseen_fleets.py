@@ -16,6 +16,7 @@ from benchmarks.fingerprint import fingerprint
 from pipelines.cli.doctor import examine
 from pipelines.report.page import write_report
 from pipelines.storage.catalog import connect
+from pipelines.storage.store import Store
 
 Deliveries = Iterator[None]
 COMPRESSOR = ("cc_speed_rpm", "cc_in_degc", "cc_in_psia", "cc_out_degc", "cc_out_psia", "cc_flow_lbpm", "vda_pos")
@@ -106,7 +107,7 @@ def out_of_order_and_corrected(landing: Path) -> Deliveries:
     yield
 
 
-RAW = ("raw_snapshots", "raw_messages", "raw_maintenance", "raw_fleet")
+RAW = ("raw_snapshots", "raw_messages", "raw_maintenance", "raw_fleet", "raw_checks")
 
 SCENARIOS = (
     one_flight_and_nothing_else,
@@ -153,9 +154,11 @@ def test_a_file_that_comes_again_broken_takes_nothing_away(folders):
     messages, work = (zone.folder(landing) / f"{name}.csv" for name in ("messages", "maintenance"))
     messages.write_text(f"message_time,flight_id,pack,code,text\n2024-03-04T09:00:00Z,{last.stem},1,21-52-HXTEMP,\n")
     work.write_text("done_on,pack,component,action,finding,reference\n2024-03-05,1,HX,CLEANED,FOULED,\n")
+    plan = landing / "checks.csv"
+    plan.write_text("operator,tail,date,name\nQQX,Z9,2024-06-19,A03\nQQX,Z9,2024-09-02,A04\n")
     run(landing, home)
     whole = fingerprint(home)
-    contents = {file: file.read_bytes() for file in (last, messages, work, landing / "fleet.csv")}
+    contents = {file: file.read_bytes() for file in (last, messages, work, plan, landing / "fleet.csv")}
     for broken in (slice(0), slice(40), None):
         for file, content in contents.items():
             file.write_bytes(b"\0" * 100 if broken is None else content[broken])
@@ -166,6 +169,9 @@ def test_a_file_that_comes_again_broken_takes_nothing_away(folders):
         file.write_bytes(content)
     run(landing, home)
     assert fingerprint(home) == whole
+    plan.write_text("operator,tail,date,name\n")  # all are done
+    run(landing, home)
+    assert Store(home).read_table("raw_checks").height == 0
 
 
 def test_the_report_of_a_home_without_a_flight_is_a_page(folders, tmp_path):

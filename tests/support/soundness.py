@@ -40,7 +40,7 @@ def faults(home: Path, landing: Path) -> list[str]:
     return problems + [f"nothing is told of {f}" for f in sorted(_delivered(landing) - {f for (f,) in files})]
 
 
-_LOGS = ("raw_messages", "raw_maintenance", "raw_fleet")
+_LOGS = ("raw_messages", "raw_maintenance", "raw_fleet", "raw_checks")
 
 
 def _delivered(landing: Path) -> set[str]:
