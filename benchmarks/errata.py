@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from benchmarks.spring_mass_damper import PAPER
-from hdt_benchmark.lumped_exchanger import effectiveness_ceiling, lumped_exchanger, tied_coefficient_w_k
 from hdt_benchmark.spring_mass_damper import euler_position_m
 from hdt_core.physics.compressor import inlet_flow_kg_s, pressure_ratio
 from hdt_core.physics.effectiveness import counterflow_effectiveness, crossflow_effectiveness
@@ -21,6 +20,7 @@ from hdt_core.physics.heat_exchanger import (
     measured_conductance_w_k,
     outlets_k,
 )
+from hdt_core.physics.lumped_exchanger import effectiveness_ceiling, lumped_exchanger, tied_coefficient_w_k
 
 mpl.use("Agg")
 mpl.rcParams["svg.hashsalt"] = "hdt"  # the same figure, byte for byte, every time

@@ -1,6 +1,6 @@
 """The air-to-air heat exchanger of the pack: heat that its air takes up, conductance by the flows, outlets.
 
-The default for health. The paper's equations (7)-(8) are in `extensions/hdt_benchmark`.
+The default for health. The paper's equations (7)-(8) are in `lumped_exchanger`.
 """
 
 from hdt_core.physics.effectiveness import crossflow_effectiveness, crossflow_ntu

@@ -10,7 +10,6 @@ from coolprop import PropsSI
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hdt_benchmark.lumped_exchanger import tied_coefficient_w_k
 from hdt_core.physics import air
 from hdt_core.physics.compressor import (
     COMPRESSOR,
@@ -23,6 +22,7 @@ from hdt_core.physics.compressor import (
     pressure_ratio,
 )
 from hdt_core.physics.heat_exchanger import outlets_k, specific_heat_j_kg_k, warmed_k
+from hdt_core.physics.lumped_exchanger import tied_coefficient_w_k
 
 RPM = np.pi / 30.0
 speeds = st.floats(1000.0, 4500.0)

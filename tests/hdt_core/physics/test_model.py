@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from hdt_benchmark.core_exchanger import CORE_EXCHANGER
-from hdt_benchmark.lumped_exchanger import lumped_exchanger
 from hdt_core.components.unmetered_exchanger import SPRAYED
 from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from hdt_core.physics.installed_exchanger import RAM_DUCT
+from hdt_core.physics.lumped_exchanger import lumped_exchanger
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 
 MODELS = [

@@ -6,16 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from hdt_benchmark.lumped_exchanger import (
+from hdt_core.estimation import NonlinearLeastSquares
+from hdt_core.estimation.declared import declared_problem
+from hdt_core.physics.heat_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K, outlets_k
+from hdt_core.physics.lumped_exchanger import (
     effectiveness_ceiling,
     lumped_exchanger,
     rates_k_s,
     steady_outlets_k,
     tied_coefficient_w_k,
 )
-from hdt_core.estimation import NonlinearLeastSquares
-from hdt_core.estimation.declared import declared_problem
-from hdt_core.physics.heat_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K, outlets_k
 
 AT = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k": 250.0}
 flows = st.floats(0.3, 3.0)
