@@ -66,16 +66,13 @@ def circle(graph: Mapping[str, set[str]]) -> list[str]:
     return []
 
 
-def test_no_modules_import_each_other_in_a_circle():
+def test_no_modules_import_each_other_in_a_circle_and_one_would_be_found(tmp_path):
     """Imports inside a function and for a type checker count too: they may wait, not hide a circle."""
     root = Path(__file__).parents[1]
     files = {p: p.relative_to(root).with_suffix("") for name in OURS for p in (root / name).rglob("*.py")}
     modules = {".".join(p.parts).removesuffix(".__init__"): file for file, p in files.items()}
     assert len(modules) > 200
     assert circle({name: imported(name, path, modules) for name, path in modules.items()}) == []
-
-
-def test_a_circle_would_be_found(tmp_path):
     paths = {name: tmp_path / f"{name}.py" for name in ("a", "b", "c")}
     paths["a"].write_text("import b\n")
     paths["b"].write_text("def late():\n    from c import thing\n")
@@ -84,14 +81,11 @@ def test_a_circle_would_be_found(tmp_path):
     assert set(cycle) == {"a", "b", "c"}
 
 
-def test_the_private_api_of_dagster_is_used_in_one_place():
+def test_dagsters_private_api_is_used_in_one_place_below_a_short_root():
     root = Path(__file__).parents[1]
     sources = [p for name in ("hdt_core", "pipelines") for p in (root / name).rglob("*.py")]
     private = re.compile(r"^\s*(from|import) dagster\w*\._", re.MULTILINE)
     assert [p.name for p in sources if private.search(p.read_text(encoding="utf-8"))] == []
-
-
-def test_the_root_of_pipelines_is_a_short_page():
     assert len(list(Path(pipelines.__file__).parent.glob("*.py"))) <= 15
 
 
@@ -123,7 +117,7 @@ MANY_TO_MANY = {
 """Where a join makes more rows than it was given, and why; what is not wanted is filtered out at once."""
 
 
-def test_a_join_that_must_not_multiply_rows_says_so():
+def test_a_join_that_must_not_multiply_rows_says_so_and_one_without_would_be_found():
     """Polars fails at once where rows do not match as declared; a doubled key once took 18 GB of memory."""
     many, top = set(), Path(hdt_core.__file__).parents[1]
     for path in (p for room in ("hdt_core", "pipelines", "dagster_batched") for p in (top / room).rglob("*.py")):
@@ -131,6 +125,8 @@ def test_a_join_that_must_not_multiply_rows_says_so():
             assert how in ("m:1", "1:1", "m:m"), f"{path.relative_to(top)}:{where} declares no cardinality"
             many |= {str(path.relative_to(top))} if how == "m:m" else set()
     assert many == set(MANY_TO_MANY)
+    text = "a.join(b, on='k')\na.join(b, on='k', how='semi')\n', '.join(c)\na.join(b, on='k', validate='m:1')"
+    assert list(joins(ast.parse(text))) == [(1, None), (4, "m:1")]
 
 
 def joins(tree: ast.AST) -> Iterator[tuple[int, str | None]]:
@@ -140,8 +136,3 @@ def joins(tree: ast.AST) -> Iterator[tuple[int, str | None]]:
             arguments = {k.arg: k.value.value if isinstance(k.value, ast.Constant) else None for k in node.keywords}
             if "on" in arguments and arguments.get("how") not in ("semi", "anti", "cross"):
                 yield node.lineno, arguments.get("validate")
-
-
-def test_a_join_without_its_cardinality_would_be_found():
-    text = "a.join(b, on='k')\na.join(b, on='k', how='semi')\n', '.join(c)\na.join(b, on='k', validate='m:1')"
-    assert list(joins(ast.parse(text))) == [(1, None), (4, "m:1")]

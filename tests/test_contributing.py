@@ -102,9 +102,8 @@ def tree(tmp_path_factory) -> Path:
 def python(tree: Path, *words: str) -> subprocess.CompletedProcess[str]:
     env = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
     env |= {"PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
-    return subprocess.run(
-        [sys.executable, *words], cwd=tree, env=env, capture_output=True, text=True, timeout=500, check=False
-    )
+    command = [sys.executable, *words]
+    return subprocess.run(command, cwd=tree, env=env, capture_output=True, text=True, timeout=500, check=False)
 
 
 def test_the_suite_takes_what_was_added(tree):

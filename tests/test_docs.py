@@ -62,28 +62,12 @@ def test_a_command_of_the_documentation_is_taken_as_it_stands(page, words):
     sub.make_context(name, rest)
 
 
-def test_every_command_is_documented():
-    assert {words[0] for _, words in COMMANDS} >= {c.name or c.callback.__name__ for c in app.registered_commands}
-
-
-def test_the_queries_of_the_documentation_answer(sample_home):
+def test_the_queries_of_the_documentation_answer_and_its_tables_are_read(sample_home):
     # a component of one's own is not in the sample: tests/pipelines/test_own_component.py asks that page's
     queries = [w[-1] for p, w in COMMANDS if w[0] == "query" and p.stem != "howto-component"]
     with connect(sample_home) as con:
         assert queries
         assert all(con.sql(sql).fetchall() for sql in queries)
-
-
-def test_the_tutorials_python_runs(sample_home, monkeypatch):
-    (code,) = [b for b in blocks(ROOT / "docs/tutorial.md") if b.startswith("import duckdb")]
-    monkeypatch.chdir(sample_home)
-    namespace: dict[str, object] = {}
-    with duckdb.connect("catalog.duckdb", read_only=True):
-        exec(code.replace("hdt_home/", ""), namespace)
-    assert namespace["frame"].height > 0
-
-
-def test_the_tables_are_read_as_their_page_says(sample_home):
     page = (ROOT / "docs/storage.md").read_text(encoding="utf-8").split("## Read the tables")[1]
     code = "\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
     namespace: dict[str, object] = {}
@@ -93,6 +77,15 @@ def test_the_tables_are_read_as_their_page_says(sample_home):
     assert namespace["as_arrow"].num_rows == flights
     assert sum(n for _, n in namespace["per_tail"].fetchall()) == flights
     assert namespace["worn"].width == 4
+
+
+def test_the_tutorials_python_runs(sample_home, monkeypatch):
+    (code,) = [b for b in blocks(ROOT / "docs/tutorial.md") if b.startswith("import duckdb")]
+    monkeypatch.chdir(sample_home)
+    namespace: dict[str, object] = {}
+    with duckdb.connect("catalog.duckdb", read_only=True):
+        exec(code.replace("hdt_home/", ""), namespace)
+    assert namespace["frame"].height > 0
 
 
 def site(target: Path) -> Path:
@@ -123,20 +116,15 @@ def fetched(pages: list[Path], pattern: str) -> dict[str, list[str]]:
     return {p.name: links for p in pages if (links := re.findall(pattern, p.read_text(encoding="utf-8")))}
 
 
-def test_no_page_is_written_to_fetch_from_elsewhere():
+def test_no_page_fetches_from_elsewhere_links_hold_and_every_room_has_its_page():
     """What the site adds to the pages is seen where it is built, in the long tests; its fonts are the browser's."""
     written = rf"{FETCHED}|!\[[^\]]*\]\(https?:|url\([\"']?http|@import"
     assert fetched([*PAGES, *(ROOT / "docs").glob("*.css")], written) == {}
     assert "  font: false\n" in (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-
-
-def test_links_of_the_readme_hold_on_a_forge():
     for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
         links = re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8"))
         assert [link for link in links if not (page.parent / link).exists()] == []
-
-
-def test_every_room_of_the_core_has_its_page_of_reference():
     rooms = {p.name for p in (ROOT / "hdt_core").iterdir() if (p / "__init__.py").exists()}
     pages = "".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs/api").glob("*.md"))
     assert rooms == set(re.findall(r"^::: hdt_core\.(\w+)$", pages, flags=re.MULTILINE))
+    assert {words[0] for _, words in COMMANDS} >= {c.name or c.callback.__name__ for c in app.registered_commands}

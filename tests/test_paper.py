@@ -73,10 +73,8 @@ def test_every_equation_table_and_figure_has_a_row():
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.item)
 def test_what_a_row_names_is_there(row):
     (code, symbols), (tests, _), (plots, plotted) = (
-        named(row.code, "hdt_core"),
-        named(row.test, TESTS),
-        named(row.plot, "."),
-    )
+        named(row.code, "hdt_core"), named(row.test, TESTS), named(row.plot, "."),
+    )  # fmt: skip
     assert code
     assert tests
     assert [s for s in symbols if not defined(s, code)] == []

@@ -73,20 +73,16 @@ def test_the_chain_in_memory_is_the_night(sample_home):
     """Health, prognoses and alerts are those that the night stored."""
     tables, store = chain.run(samples.record(sample_home)), Store(sample_home)
     key = ["operator", "tail", "flight_id", "pack"]
-    health = tables["health"].join(
-        store.read_table("twin_health"), on=[*key, "parameter"], suffix="_stored", validate="1:1"
-    )
+    beside = {"suffix": "_stored", "validate": "1:1"}
+    health = tables["health"].join(store.read_table("twin_health"), on=[*key, "parameter"], **beside)
     assert health.height == tables["health"].height
     assert all((health[name] - health[f"{name}_stored"]).abs().max() < 1e-9 for name in ("value", "sd"))
-    prognoses = tables["prognoses"].join(
-        store.read_table("prognoses"), on=[*key, "component"], suffix="_stored", validate="1:1"
-    )
+    prognoses = tables["prognoses"].join(store.read_table("prognoses"), on=[*key, "component"], **beside)
     assert prognoses.height == tables["prognoses"].height
     assert (prognoses["rul_flights"] - prognoses["rul_flights_stored"]).abs().max() < 1e-6
     alerts = ("alert_id", "raised_flight_id", "diagnosis")
-    assert set(tables["alerts"].select(alerts).iter_rows()) == set(
-        store.read_table("features_alerts").select(alerts).iter_rows()
-    )
+    stored = store.read_table("features_alerts")
+    assert set(tables["alerts"].select(alerts).iter_rows()) == set(stored.select(alerts).iter_rows())
 
 
 def test_a_cell_that_was_not_run_again_stays_as_the_page_has_it(tmp_path, monkeypatch):

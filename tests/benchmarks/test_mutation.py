@@ -19,15 +19,9 @@ def beyond(*, x: float | None = -2.0) -> bool | None:
 def test_mutants_change_numbers_signs_and_comparisons_and_no_words():
     after = {edit(SOURCE, mutate_code(SOURCE, *place))[1] for place in places(SOURCE)}
     assert after == {
-        "LIMIT, STEP = 3.4, 3",
-        "LIMIT, STEP = 4.6, 3",
-        "LIMIT, STEP = 4.0, 2",
-        "LIMIT, STEP = 4.0, 4",
+        "LIMIT, STEP = 3.4, 3", "LIMIT, STEP = 4.6, 3", "LIMIT, STEP = 4.0, 2", "LIMIT, STEP = 4.0, 4",
         "def beyond(*, x: float | None = - 1.7) -> bool | None:",
         "def beyond(*, x: float | None = - 2.3) -> bool | None:",
-        "def beyond(*, x: float | None = 2.0) -> bool | None:",
-        "if not x is None:",
-        "if x is not None:",
-        "return x < LIMIT",
-        "return x >= LIMIT",
-    }
+        "def beyond(*, x: float | None = 2.0) -> bool | None:", "if not x is None:", "if x is not None:",
+        "return x < LIMIT", "return x >= LIMIT",
+    }  # fmt: skip

@@ -21,7 +21,7 @@ def life(number: int, flights: int, risk: np.ndarray, loss: np.ndarray, failed: 
     )
 
 
-def test_a_risk_that_knows_the_loss_alerts_where_the_budget_ends():
+def test_a_risk_that_knows_the_loss_alerts_where_the_budget_ends_and_an_ignorant_one_never():
     loss = np.linspace(0.0, 0.4, 401)
     risks = pl.concat([life(n, 401, loss, loss) for n in range(4)])
     median, tenth, early = lead_at_budget(risks, early_per_1000=0.0)
@@ -29,14 +29,14 @@ def test_a_risk_that_knows_the_loss_alerts_where_the_budget_ends():
     assert median == tenth
     # with no early alert allowed the best threshold is 15 % itself, 251 flights before the end
     assert median == pytest.approx(250, abs=8)
-
-
-def test_a_risk_that_knows_nothing_gives_no_lead_within_the_budget():
-    loss = np.linspace(0.0, 0.4, 401)
     noise = np.random.default_rng(0).random((4, 401))
     risks = pl.concat([life(n, 401, noise[n], loss) for n in range(4)])
     informed = pl.concat([life(n, 401, loss, loss) for n in range(4)])
     assert lead_at_budget(risks)[0] < 0.7 * lead_at_budget(informed)[0]
+    for seed in sound_seeds(9000, 3):
+        design = draw_design(np.random.default_rng(seed))
+        assert loss_at_message(design, 0.0) > HELD_LOSS
+        assert loss_at_message(design, 20.0) <= loss_at_message(design, 0.0)
 
 
 FLIGHTS = 600
@@ -90,36 +90,24 @@ def test_a_failure_is_alerted_by_its_own_component_in_the_300_flights_before(ale
 def test_the_true_fault_of_its_component_makes_an_alert_right_and_another_does_not():
     worn = (pl.col("index") >= 300).cast(pl.Float64) * 0.16
     truth = {"apparent_ua_ratio": 1.0 - worn}
-    scores = tally(
-        fleet([("HX_FOULING", 100, None), ("HX_FOULING", 99, None), ("SENSOR_FAULT", 350, None)], [], **truth)
-    )
+    raised = [("HX_FOULING", 100, None), ("HX_FOULING", 99, None), ("SENSOR_FAULT", 350, None)]
+    scores = tally(fleet(raised, [], **truth))
     assert scores.alerts["right"].to_list() == [False, True, False]
     assert scores.alerts["own"].to_list() == [False, False, False]
     assert scores.alerts["any_cause"].to_list() == [False, False, True]
     assert scores.alerts["early"].to_list() == [True, True, False]
 
 
-def test_rates_count_flights_of_the_aircraft_once():
+def test_rates_count_flights_once_and_a_door_fault_alerts_while_it_lasts():
     alerts = [("HX_FOULING", 450, None), ("HX_LOW_MARGIN", 201, None), ("CC_DEGRADED", 400, None)]
     figures = overall(tally(fleet(alerts, [MESSAGE])))
     assert (figures["alerted"], figures["lead"]) == (1.0, 299.0)
     per_1000 = 1000.0 / FLIGHTS
     assert figures["false"] == pytest.approx(2 * per_1000)  # fouling on a sound core, and the compressor
     assert figures["early"] == pytest.approx(per_1000)  # not the alert of low margin, whose message came
-
-
-def test_a_door_fault_is_alerted_while_it_lasts():
     fault = {"component": "RAM_DOOR", "onset_index": 100, "removal_index": 150}
     there = {"door_fault": pl.col("index").is_between(100, 149)}
-    inside, after = (
-        figures_of(tally(fleet([("RAM_DOOR_FAULT", k, None)], [fault], **there)), "RAM_DOOR") for k in (110, 153)
-    )
+    scores = (tally(fleet([("RAM_DOOR_FAULT", k, None)], [fault], **there)) for k in (110, 153))
+    inside, after = (figures_of(s, "RAM_DOOR") for s in scores)
     assert (inside["alerted"], inside["lead or delay, median"], inside["right within 200"]) == (1.0, 10.0, 1.0)
     assert (after["alerted"], after["right within 200"]) == (0.0, 0.0)
-
-
-def test_fleets_that_score_are_soundly_sized():
-    for seed in sound_seeds(9000, 3):
-        design = draw_design(np.random.default_rng(seed))
-        assert loss_at_message(design, 0.0) > HELD_LOSS
-        assert loss_at_message(design, 20.0) <= loss_at_message(design, 0.0)

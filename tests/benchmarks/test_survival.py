@@ -22,13 +22,10 @@ def lives(n: int, cut: float, seed: int = 0) -> pl.DataFrame:
     )
 
 
-def test_no_knowledge_is_a_coin_and_worth_nothing():
+def test_no_knowledge_is_a_coin_and_cutting_lives_short_moves_no_score():
     assert censored_scores(lives(3000, 1 / 500), "none")["c_index"] == pytest.approx(0.5)
     assert censored_scores(lives(3000, 1 / 500), "none")["brier_100_skill"] < 0.0
-
-
-def test_cutting_lives_short_does_not_move_the_scores():
-    """That is what the weights are for: without them the share of failures seen would."""
+    # That is what the weights are for: without them the share of failures seen would.
     whole, cut = (censored_scores(lives(20_000, rate), "true") for rate in (1e-6, 1 / 200))
     assert cut["c_index"] == pytest.approx(whole["c_index"], abs=0.01)
     assert cut["brier_100_skill"] == pytest.approx(whole["brier_100_skill"], abs=0.02)

@@ -54,19 +54,19 @@ def test_workers_start_what_runs_dagsters_tasks_and_settings_send_them_there(mon
     assert variables <= set(environment)
 
 
-def test_nothing_of_the_workers_starts_unasked():
+def test_nothing_starts_unasked_what_is_named_is_there_and_the_page_is_this_machines():
     assert {name for name, s in SERVICES.items() if "profiles" in s} == {"broker", "worker", "night"}
-
-
-def test_services_volumes_and_files_that_are_named_are_there():
     mounted = [v.rsplit(":", 2 if v.endswith(":ro") else 1)[0] for s in SERVICES.values() for v in s["volumes"]]
     for source in mounted:
         assert source in COMPOSE["volumes"] or source.startswith("${") or (ROOT / source).is_file(), source
     assert all(waited in SERVICES for s in OURS.values() for waited in s["depends_on"])
-
-
-def test_the_page_is_published_to_this_machine_only():
     assert all(p.startswith("127.0.0.1:") for s in SERVICES.values() for p in s.get("ports", []))
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    targets = dict(re.findall(r"\n(\w+):(.*(?:\n\t.*)*)", (ROOT / "Makefile").read_text()))
+    checked = [tool for part in targets["check"].split() for tool in re.findall(r"\$\(BIN\)/(\S+)", targets[part])]
+    assert len(checked) >= len(targets["check"].split())
+    assert {h["entry"].split()[0].removeprefix(".venv/bin/") for h in hooks} == set(checked)
+    assert all(shutil.which(tool, path=str(ROOT / ".venv/bin")) for tool in checked) or not (ROOT / ".venv").exists()
 
 
 @pytest.mark.parametrize("name", ["dagster.yaml", "celery.yaml"])
@@ -104,17 +104,14 @@ def test_what_a_cluster_is_given_fits_together():
     assert ours["run_launcher"]["class"] == "K8sRunLauncher"
 
 
-def test_the_image_copies_what_it_needs_and_is_let_see_it():
+def test_the_image_copies_and_brings_what_its_commands_need():
     lines = (ROOT / "Dockerfile").read_text().splitlines()
     copied = [w for line in lines if line.startswith("COPY") and "--from" not in line for w in line.split()[1:-1]]
     let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     assert set(copied) == let_in
     assert all((ROOT / name).exists() for name in copied)
     assert [line for line in lines if line.startswith("USER")] == ["USER 10001"]
-
-
-def test_the_image_brings_what_its_commands_and_several_machines_need():
-    """Every extra that a command or the storage asks for by name, and those of a fleet on several machines."""
+    # Every extra that a command or the storage asks for by name, and those of a fleet on several machines.
     files = [*(ROOT / "pipelines/cli").glob("*.py"), *(ROOT / "pipelines/storage").glob("*.py"),
              ROOT / "docs/storage.md"]  # fmt: skip
     named = re.findall(r"hybrid-digital-twin\[([\w,]+)\]", "".join(f.read_text() for f in files))
@@ -122,12 +119,3 @@ def test_the_image_brings_what_its_commands_and_several_machines_need():
     assert {"serve", "s3"} <= {extra for extras in named for extra in extras.split(",")} <= set(installed.split(","))
     locked = re.findall(r"--extra (\w+)", (ROOT / "Makefile").read_text())
     assert set(installed.split(",")) <= set(locked)
-
-
-def test_hooks_call_what_the_lock_installs():
-    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
-    targets = dict(re.findall(r"\n(\w+):(.*(?:\n\t.*)*)", (ROOT / "Makefile").read_text()))
-    checked = [tool for part in targets["check"].split() for tool in re.findall(r"\$\(BIN\)/(\S+)", targets[part])]
-    assert len(checked) >= len(targets["check"].split())
-    assert {h["entry"].split()[0].removeprefix(".venv/bin/") for h in hooks} == set(checked)
-    assert all(shutil.which(tool, path=str(ROOT / ".venv/bin")) for tool in checked) or not (ROOT / ".venv").exists()

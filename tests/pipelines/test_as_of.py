@@ -50,13 +50,10 @@ def names(home: Path) -> list[str]:
     return list(Ledger(home).snapshots())
 
 
-def test_each_night_says_what_it_said(four):
+def test_each_night_says_what_it_said_and_its_reader_reaches_nothing_else(four):
     assert [snapshots_of(connect_as_of(four, name)) for name in names(four)] == list(range(NIGHTS))
     assert snapshots_of(connect_as_of(four, max(names(four))[:10])) == NIGHTS - 1
     assert snapshots_of(connect(four)) == NIGHTS - 1
-
-
-def test_a_reader_of_an_earlier_night_can_reach_nothing_else_and_of_none_before_the_first(four):
     with connect_as_of(four, names(four)[0]) as con, pytest.raises(Exception, match="disabled by configuration"):
         con.execute("select * from read_text('/etc/passwd')").fetchall()
     with pytest.raises(StoreError, match=f"the first on record is {names(four)[0][:10]}"):

@@ -279,12 +279,10 @@ def test_help_lists_every_command_in_order_and_cuts_no_sentence():
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [
-        ("hdt ni", ["nightly"]),
-        ("hdt b", ["backfill", "benchmark"]),
-        ("hdt nightly --dry", ["--dry-run"]),
+        ("hdt ni", ["nightly"]), ("hdt b", ["backfill", "benchmark"]), ("hdt nightly --dry", ["--dry-run"]),
         ("hdt report --o", ["--out"]),
     ],
-)
+)  # fmt: skip
 def test_the_shell_completes_commands_and_options(typed, offered):
     place = str(len(typed.split()) - 1)
     assert typed_in(_HDT_COMPLETE="complete_bash", COMP_WORDS=typed, COMP_CWORD=place).split() == offered

@@ -137,9 +137,13 @@ def test_the_job_does_what_the_command_does_and_its_runs_say_who_launched_it(own
     assert {own["user"] for own in by_command.values()} == {"hdt nightly"}
 
 
-def test_dagster_and_dg_find_these_definitions():
+def test_dagster_finds_these_definitions_and_a_cells_key_is_the_one_it_makes():
     tool = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["tool"]
     assert tool["dagster"]["module_name"] == tool["dg"]["project"]["code_location_target_module"] == LOCATION
+    (ours,) = resources.cell_keys([("AAA:T1", "20260101_02")])
+    stock = dg.MultiPartitionKey({"flight": "20260101_02", "aircraft": "AAA:T1"})
+    for other in (stock, pickle.loads(pickle.dumps(ours))):
+        assert (ours, type(ours), ours.dimension_keys) == (other, type(other), other.dimension_keys)
 
 
 def test_a_night_that_is_a_run_is_refused_where_runs_are_sent_out(sample_landing, tmp_path):
@@ -166,10 +170,3 @@ def test_no_cell_is_listed_to_look_up_versions_and_none_shows_as_stale(own_home,
         for key in (dg.AssetKey(t) for t in ("features", "features_alerts", "legs_verdicts", "prognoses")):
             cells = instance.get_materialized_partitions(key) if graph.get(key).is_partitioned else [None]
             assert {resolver.get_status(key, cell) for cell in cells} == {StaleStatus.FRESH}
-
-
-def test_a_cells_key_is_the_one_that_dagster_makes():
-    (ours,) = resources.cell_keys([("AAA:T1", "20260101_02")])
-    stock = dg.MultiPartitionKey({"flight": "20260101_02", "aircraft": "AAA:T1"})
-    for other in (stock, pickle.loads(pickle.dumps(ours))):
-        assert (ours, type(ours), ours.dimension_keys) == (other, type(other), other.dimension_keys)

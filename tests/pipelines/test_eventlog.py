@@ -134,9 +134,8 @@ def shape(log: Log):
     }
     with log.tables.connect() as con:
         rows = {name: sorted(map(str, con.exec_driver_sql(sql))) for name, sql in queries.items()}
-        events = con.exec_driver_sql(
-            "select event from event_logs where asset_key = '[\"third\"]' and partition is not null"
-        )
+        third = "select event from event_logs where asset_key = '[\"third\"]' and partition is not null"
+        events = con.exec_driver_sql(third)
         rows["events"] = sorted(UNLIKE.sub("", bare(text)) for (text,) in events)
     return rows
 
@@ -163,9 +162,8 @@ def test_tables_equal_those_of_stock_dagster(new_log, monkeypatch):
     for name in ("first", "third"):
         assert len(instance.get_materialized_partitions(dg.AssetKey(name))) == 6
     newest = {r.partition_key: r for r in instance.fetch_materializations(dg.AssetKey("third"), limit=100).records}
-    assert {p: r.asset_materialization.tags["dagster/partition/flight"] for p, r in newest.items()} == {
-        f"{a}|{f}": f for a in "AB" for f in "123"
-    }
+    flights = {p: r.asset_materialization.tags["dagster/partition/flight"] for p, r in newest.items()}
+    assert flights == {f"{a}|{f}": f for a in "AB" for f in "123"}
     values = [r.asset_materialization.metadata["rows"].value for r in newest.values()]
     assert sorted(values) == [10, 11, 12, 13, 14, 15]  # each its own, the first too
     assert len({round(1000 * r.timestamp) for r in newest.values()}) == 6, "a page tells events by their milliseconds"

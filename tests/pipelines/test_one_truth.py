@@ -94,11 +94,9 @@ def test_one_order_and_one_badge_wherever_an_alert_is_told_of(home, report):
         packs = con.sql("select tail, pack, urgency, diagnoses from fleet_ranking order by place").fetchall()
     assert opened == [("aaaa1111", "act"), ("bbbb2222", "act"), ("bbbb1111", "plan"), ("aaaa2222", "plan")]
     assert packs == [
-        ("T-1", 1, "act", "HX_FOULING"),
-        ("T-2", 2, "act", "RAM_DOOR_FAULT"),
-        ("T-2", 1, "plan", "HX_FOULING, SENSOR_FAULT"),
-        ("T-1", 2, "none", None),
-    ]
+        ("T-1", 1, "act", "HX_FOULING"), ("T-2", 2, "act", "RAM_DOOR_FAULT"),
+        ("T-2", 1, "plan", "HX_FOULING, SENSOR_FAULT"), ("T-1", 2, "none", None),
+    ]  # fmt: skip
     names = ["T-1 pack 1 (left)", "T-2 pack 2 (right)", "T-2 pack 1 (left)"]
     card = r"<h3>([^<]*) <span|<h4>[^<]*<span class=\"tag \w+\">([^<]*)</span>[^<]*<span class=\"small\">case (\w+)"
     cards = re.findall(card, report)

@@ -106,9 +106,8 @@ def test_a_night_that_set_rows_aside_says_how_many_of_which_file_and_why(zone):
     with read(home) as con:
         line = quarantine_line(con, new_paths)
         assert quarantine_line(con, frozenset()) == ""
-    assert line.startswith(
-        "42 rows of 1 file, most of them of AQX/LX-AAA/acms/LX-AAA_20240525_02.csv (42): pack is not"
-    )
+    said = "42 rows of 1 file, most of them of AQX/LX-AAA/acms/LX-AAA_20240525_02.csv (42): pack is not"
+    assert line.startswith(said)
     assert 'hdt query "select * from quarantine where n_rows > 0"' in line
 
 

@@ -64,12 +64,10 @@ def asked_to_stop(process: subprocess.Popen, number: signal.Signals, group: bool
 @pytest.mark.parametrize(
     ("number", "jobs", "group", "after"),
     [
-        (signal.SIGINT, 1, True, "raw_fleet"),
-        (signal.SIGTERM, 1, False, "raw_messages"),
-        (signal.SIGTERM, 2, False, "raw_flights"),
-        (signal.SIGINT, 2, True, "raw_flights"),
+        (signal.SIGINT, 1, True, "raw_fleet"), (signal.SIGTERM, 1, False, "raw_messages"),
+        (signal.SIGTERM, 2, False, "raw_flights"), (signal.SIGINT, 2, True, "raw_flights"),
     ],
-)
+)  # fmt: skip
 def test_a_night_ends_at_once(sample_landing, tmp_path, number, jobs, group, after):
     home = tmp_path / "home"
     night = begun("nightly", "--landing", str(sample_landing), "--home", str(home), "--jobs", str(jobs))

@@ -75,9 +75,16 @@ def test_a_phrase_is_known_again_with_its_values_and_retold_as_it_was_translated
     assert re.fullmatch("".join(re.escape(text) + (".+" if name else "") for text, name, _, _ in parts), retold)
 
 
-def test_every_signal_and_check_has_a_plain_name():
+def test_signals_have_plain_names_and_numbers_the_languages_form():
     assert set(SIGNALS) == set(Signals.columns())
     assert set(CHECKS) == {c.name for c in CHANNELS}
+    with use_language("de"):
+        assert words.number(-1234.5, 1) == "\N{MINUS SIGN}1\N{NO-BREAK SPACE}234,5"
+        assert words.several("{n} flight", "{n} flights", 1) == "1 Flug"
+    assert words.several("{n} flight", "{n} flights", 1200) == "1,200 flights"
+    assert "de" in OTHERS
+    with pytest.raises(UserError, match="no language xx; there are en, de"), use_language("xx"):
+        pass
 
 
 ENGLISH_WORDS = re.compile(r"\b(the|is|of|with|since|than|and|lost|flights|exchanger|probability|check|which)\b")
@@ -93,13 +100,3 @@ def test_alerts_of_the_sample_are_told_in_german_to_the_last_word(sample_home):
             assert not ENGLISH_WORDS.search(translate_evidence(sentence)), translate_evidence(sentence)
         for tail in tails:
             assert not ENGLISH_WORDS.search(str(explain(sample_home, tail)))
-
-
-def test_numbers_are_written_as_the_language_writes_them():
-    with use_language("de"):
-        assert words.number(-1234.5, 1) == "\N{MINUS SIGN}1\N{NO-BREAK SPACE}234,5"
-        assert words.several("{n} flight", "{n} flights", 1) == "1 Flug"
-    assert words.several("{n} flight", "{n} flights", 1200) == "1,200 flights"
-    assert "de" in OTHERS
-    with pytest.raises(UserError, match="no language xx; there are en, de"), use_language("xx"):
-        pass

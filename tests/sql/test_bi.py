@@ -24,18 +24,20 @@ def opened(sample_home):
         yield con
 
 
-def test_the_list_of_tables_is_the_views_and_the_other_schema_stands_apart(opened):
+def test_tables_are_the_views_with_type_and_meaning_and_six_to_start_with(opened):
     assert {name for (name,) in opened.sql("show tables").fetchall()} == set(views())
     listed = opened.sql("select table_schema, table_name from information_schema.tables").fetchall()
     assert {schema for schema, _ in listed} == {"main", "tables"}
     assert {name for schema, name in listed if schema == "main"} == set(views())
-
-
-def test_columns_come_with_type_and_meaning(opened):
     query = "select data_type, comment from duckdb_columns() where schema_name = 'main' and not internal"
     columns = opened.sql(query).fetchall()
     assert len(columns) > 300
     assert all(kind and comment for kind, comment in columns)
+    page = (Path(__file__).parents[2] / "docs/catalog.md").read_text(encoding="utf-8")
+    table = re.findall(r"^\| ([a-z][^|]*\?) \| `(\w+)`", page, re.MULTILINE)
+    assert len(table) == 6
+    assert opened.sql("select question, view_name from start_here order by place").fetchall() == table
+    assert {name for _, name in table} <= set(views())
 
 
 def test_every_view_is_read_while_another_process_reads(opened, sample_home):
@@ -52,11 +54,3 @@ def test_attached_elsewhere_it_is_told_where_the_tables_are(sample_home, tmp_pat
         con.execute(f"set variable tables_folder = '{sample_home}/tables/'")
         con.execute(f"attach '{sample_home / CATALOG}' as hdt (read_only)")
         assert con.sql("select count(*) from hdt.main.flights").fetchall()[0][0] > 0
-
-
-def test_catalog_and_page_name_the_same_six_views_to_start_with(opened):
-    page = (Path(__file__).parents[2] / "docs/catalog.md").read_text(encoding="utf-8")
-    table = re.findall(r"^\| ([a-z][^|]*\?) \| `(\w+)`", page, re.MULTILINE)
-    assert len(table) == 6
-    assert opened.sql("select question, view_name from start_here order by place").fetchall() == table
-    assert {name for _, name in table} <= set(views())

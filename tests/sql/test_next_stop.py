@@ -61,12 +61,24 @@ def test_a_short_record_gives_what_it_has(days, weeks, rate):
     assert rows(con, "select n_weeks, flights_per_day from flight_rates") == [(weeks, rate)]
 
 
-def test_flights_left_become_days():
+def test_flights_left_become_days_and_a_new_units_chance_is_that_of_new_units():
     con = catalog(raw_flights=flown(3, 60), prognoses=[prognosis(59, rul_high=300.0)])
     dates = rows(con, "select days_left, days_left_low, days_left_high, due_on, status from due_dates")
     assert dates == [(40.0, 8.0, None, (START + dt.timedelta(days=59 + 40)).date(), "ok")]
     con = catalog(raw_flights=flown(3, 60), prognoses=[prognosis(59, rul_flights=300.0, beyond_horizon=True)])
     assert rows(con, "select status from due_dates") == [("beyond_horizon",)]
+    choices = stop(check=10, work=(replaced(10), replaced(30), replaced(5, component="CC")))
+    _, _, chance, cost, place, status = choices["replace"]
+    assert status == "ok"
+    assert chance == pytest.approx(choices["defer"][2]), "every flight of this fleet says the same"
+    assert cost == pytest.approx(1000 + 2000 * chance)
+    assert (choices["defer"][4], place) == (1, 2)
+    choices = stop(check=10, costs={})
+    assert choices["defer"][3:] == (None, None, "no_cost")
+    assert choices["defer"][2] is not None
+    choices = stop(check=10)
+    assert choices["replace"][2:] == (None, None, None, "few_units")
+    assert choices["wash"][2:] == (None, None, None, "few_units")
 
 
 @pytest.mark.parametrize(("days", "between"), [(10, (25, 50)), (30, (50, 100)), (50, (100, 200)), (1, (0, 25))])
@@ -80,34 +92,10 @@ def test_the_chance_until_the_check_lies_on_the_prognosis_own_points(days, betwe
     assert cost == pytest.approx(50 + 2000 * chance)
 
 
-def test_beyond_the_horizon_no_chance_is_told():
+def test_no_chance_is_told_beyond_the_horizon_that_counts_without_a_check():
     assert stop(check=101)["defer"] == ("A101", 303.0, None, None, None, "beyond_horizon")
-
-
-def test_without_a_check_the_horizon_of_the_cost_table_counts():
     name, flights, _, _, _, status = stop()["defer"]
     assert (name, flights, status) == (None, 30.0, "no_check_planned")
-
-
-def test_what_was_never_seen_of_the_fleet_is_not_made_up():
-    choices = stop(check=10)
-    assert choices["replace"][2:] == (None, None, None, "few_units")
-    assert choices["wash"][2:] == (None, None, None, "few_units")
-
-
-def test_a_new_units_chance_is_that_of_new_units_on_record():
-    choices = stop(check=10, work=(replaced(10), replaced(30), replaced(5, component="CC")))
-    _, _, chance, cost, place, status = choices["replace"]
-    assert status == "ok"
-    assert chance == pytest.approx(choices["defer"][2]), "every flight of this fleet says the same"
-    assert cost == pytest.approx(1000 + 2000 * chance)
-    assert (choices["defer"][4], place) == (1, 2)
-
-
-def test_costs_that_are_not_known_leave_the_cost_open():
-    choices = stop(check=10, costs={})
-    assert choices["defer"][3:] == (None, None, "no_cost")
-    assert choices["defer"][2] is not None
 
 
 def test_a_unit_is_followed_from_one_place_to_the_next_by_its_serial_number():
@@ -117,8 +105,5 @@ def test_a_unit_is_followed_from_one_place_to_the_next_by_its_serial_number():
     con = catalog(twin_health=health, raw_maintenance=[off, on])
     lives = rows(con, "select tail, unit, serial, came_from from exchanger_lives order by tail, unit")
     assert lives == [
-        ("T-1", 0, "S1", None),
-        ("T-1", 1, "S2", None),
-        ("T-2", 0, "S9", None),
-        ("T-2", 1, "S1", "AAA T-1 1"),
-    ]
+        ("T-1", 0, "S1", None), ("T-1", 1, "S2", None), ("T-2", 0, "S9", None), ("T-2", 1, "S1", "AAA T-1 1"),
+    ]  # fmt: skip

@@ -39,16 +39,20 @@ def test_a_check_says_what_is_a_fault(name):
     assert any(line.startswith("-- A fault: ") for line in header)
 
 
-def test_every_column_of_every_view_has_a_meaning():
-    silent = [
-        f"{view}.{name}" for view, columns in view_columns().items() for name, _, meaning in columns if not meaning
-    ]
+def test_every_column_has_a_meaning_in_views_catalog_and_an_up_to_date_dictionary(sample):
+    named = [(view, *column) for view, columns in view_columns().items() for column in columns]
+    silent = [f"{view}.{name}" for view, name, _, meaning in named if not meaning]
     assert silent == []
-
-
-def test_the_data_dictionary_is_up_to_date():
     written = (ROOT / "docs/data-dictionary.md").read_text(encoding="utf-8")
     assert written == dictionary(), "run `python -m docs.dictionary docs/data-dictionary.md`"
+    query = "select view_name from duckdb_views() where not internal and schema_name = 'main' and comment is null"
+    assert rows(sample, query) == []
+    silent = "select table_name, column_name from duckdb_columns() where not internal and coalesce(comment, '') = ''"
+    assert rows(sample, silent) == []
+    columns = {name for name, *_ in rows(sample, "describe tables.features")}
+    assert columns == set(TABLES["features"].schema.columns())
+    never = [c for c in columns if rows(sample, f"select count({c}) from features") == [(0,)]]
+    assert never == []
 
 
 # --- the sample fleet ----------------------------------------------------------------------------------------------
@@ -59,20 +63,6 @@ def sample(sample_home: Path) -> Iterator[duckdb.DuckDBPyConnection]:
     with duckdb.connect(str(sample_home / CATALOG), read_only=True) as con:
         con.execute("set TimeZone = 'Pacific/Kiritimati'")  # 14 hours from UTC: no view may depend on where it is read
         yield con
-
-
-def test_the_catalog_itself_says_what_each_view_and_column_means(sample):
-    query = "select view_name from duckdb_views() where not internal and schema_name = 'main' and comment is null"
-    assert rows(sample, query) == []
-    silent = "select table_name, column_name from duckdb_columns() where not internal and coalesce(comment, '') = ''"
-    assert rows(sample, silent) == []
-
-
-def test_every_feature_is_declared_and_every_declared_feature_is_made(sample):
-    columns = {name for name, *_ in rows(sample, "describe tables.features")}
-    assert columns == set(TABLES["features"].schema.columns())
-    never = [c for c in columns if rows(sample, f"select count({c}) from features") == [(0,)]]
-    assert never == []
 
 
 @pytest.mark.parametrize("name", [v for v in views() if v != "quarantine"])  # a list of things refused: no key
@@ -115,24 +105,14 @@ def test_the_day_of_departure_is_that_of_the_flights_name_wherever_it_is_read(sa
     assert elsewhere != [(0,)], "in this time zone the other day shifts"
 
 
-def test_an_alert_is_raised_on_the_day_of_its_flight(sample):
+def test_the_yield_counts_every_leg_once_and_every_flight_is_in_one_life(sample):
     named = "strptime(regexp_extract(raised_flight_id, '_(\\d{8})_', 1), '%Y%m%d')::date"
     assert rows(sample, f"select count(*) from alerts where raised_on is distinct from {named}") == [(0,)]
-
-
-def test_the_yield_counts_every_leg_once(sample):
-    assert rows(sample, "select sum(n_legs)::int, sum(n_admitted)::int from filter_yield") == rows(
-        sample, "select count(*)::int, count_if(admitted)::int from legs"
-    )
-
-
-def test_worn_legs_are_counted_by_the_reason_the_filter_gives(sample):
+    counted = rows(sample, "select count(*)::int, count_if(admitted)::int from legs")
+    assert rows(sample, "select sum(n_legs)::int, sum(n_admitted)::int from filter_yield") == counted
     worn = rows(sample, "select count(*)::int from legs where reason = 'HX_WORN'")
     assert rows(sample, "select sum(n_fouled)::int from filter_yield") == worn
     assert worn[0][0] > 0
-
-
-def test_every_flight_with_an_estimate_is_in_one_life(sample):
     assert rows(sample, "select sum(n_flights)::int from exchanger_lives") == rows(
         sample, "select count(*)::int from health_parameters where parameter = 'hx_fouling' and value is not null"
     )
@@ -177,11 +157,8 @@ FAULTS = {
         )
     ],
     "keys_without_value": [
-        "update flights set tail = null",
-        "update legs set reason = null",
-        "update prognoses set split = null",
-        "update alerts set alert_id = null",
-        "update features set departed_at = null",
+        "update flights set tail = null", "update legs set reason = null", "update prognoses set split = null",
+        "update alerts set alert_id = null", "update features set departed_at = null",
     ],
     "legs_without_health": [
         "delete from features where flight_id = (select min(flight_id) from features)",
@@ -211,7 +188,7 @@ FAULTS = {
     ],
     "residuals_that_do_not_close": ["update residuals set mean = mean + 1 where kind = 'dsm_minus_twin'"],
     "rows_lost": ["update deliveries set loaded = loaded - 1", "update deliveries set duplicate = duplicate + 1"],
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,8 @@ from small_catalog import OWN, START, alert, catalog, flight, fouling, message, 
 from pipelines.storage.catalog import CATALOG
 
 COSTS = {"wash": 100.0, "replace": 1000.0, "at_check": 50.0, "message": 4000.0}
-PRICES = [
-    {"component": "HX", "item": k, "cost": v, "currency": "EUR", "horizon_days": 30, "source": "costs.toml"}
-    for k, v in COSTS.items()
-]
+PRICED = {"component": "HX", "currency": "EUR", "horizon_days": 30, "source": "costs.toml"}
+PRICES = [PRICED | {"item": k, "cost": v} for k, v in COSTS.items()]
 DAYS = 100
 
 
@@ -26,11 +24,9 @@ def prognosis(n: int, chance: float) -> dict:
 def fleet(**more: list[dict]) -> duckdb.DuckDBPyConnection:
     """A flight a day. Work counts from the end of its day: of days 20, 40, 60 and 80, the third a wash."""
     log = [
-        replaced(20),
-        replaced(40, "NO_FAULT_FOUND"),
-        replaced(60) | {"action": "CLEANED"},
+        replaced(20), replaced(40, "NO_FAULT_FOUND"), replaced(60) | {"action": "CLEANED"},
         replaced(80, component="RAM_DOOR"),
-    ]
+    ]  # fmt: skip
     tables = {
         "raw_flights": [flight(n) for n in range(DAYS)],
         "twin_health": [fouling(n, 0.1) for n in range(DAYS)],
@@ -52,18 +48,14 @@ def test_leads_run_from_the_first_alert_of_the_spell():
         (2, "c", "CLEANED", 10, 10 + hours, None, None),
         (3, None, None, None, None, None, None),
     ]
-    assert rows(fleet(), "select spell, work_action from removal_leads where component = 'RAM_DOOR'") == [
-        (0, "REPLACED")
-    ]
+    leads = rows(fleet(), "select spell, work_action from removal_leads where component = 'RAM_DOOR'")
+    assert leads == [(0, "REPLACED")]
 
 
-def test_a_message_before_the_alert_has_a_negative_lead_in_days_and_none_in_flights():
+def test_messages_before_alerts_have_negative_leads_and_work_that_found_nothing_costs():
     con = fleet(raw_messages=[message(2)])
     query = "select flights_to_message, days_to_message from removal_leads where component = 'HX' and spell = 0"
     assert rows(con, query) == [(None, pytest.approx(-3 + 1 / 24))]
-
-
-def test_a_message_that_came_saves_nothing_and_work_that_found_nothing_costs():
     columns = "spell, outcome, saving_at_most, saving_expected, needless_cost, currency, cost_source"
     chance = (60 - 10.5) / 100  # flights 45 to 54: the last of them is the seventh before the end of day 60
     assert rows(fleet(), f"select {columns} from realised_savings order by spell") == [
@@ -71,40 +63,27 @@ def test_a_message_that_came_saves_nothing_and_work_that_found_nothing_costs():
         (1, "needless", 0.0, 0.0, 1000.0, "EUR", "costs.toml"),
         (2, "no_message", 4000.0, pytest.approx(4000 * chance), 0.0, "EUR", "costs.toml"),
     ]
-
-
-def test_without_a_price_what_happened_is_known_and_the_saving_is_not():
     con = fleet(raw_costs=[])
-    assert rows(con, "select outcome, saving_at_most, saving_expected from realised_savings where spell = 2") == [
-        ("no_message", None, None)
-    ]
+    saved = rows(con, "select outcome, saving_at_most, saving_expected from realised_savings where spell = 2")
+    assert saved == [("no_message", None, None)]
     assert rows(con, "select * from operator_costs") == []
 
 
-def test_costs_of_an_operator_are_events_times_prices():
+def test_an_operators_costs_are_events_times_prices_or_a_row_of_none_with_our_own_marked():
     columns = """n_flights, n_messages, n_removals, n_washes, n_needless, total_cost, cost_per_1000_flights,
         saving_at_most, expected_message_cost"""
     ((*counts, expected),) = rows(fleet(), f"select {columns} from operator_costs")
     total = 2 * 4000.0 + 2 * 1000.0 + 100.0
     assert counts == [DAYS, 2, 2, 1, 1, total, 10 * total, 4000.0]
     assert expected == pytest.approx(4000.0 * 0.99, rel=0.02)
-
-
-def test_an_operator_without_events_has_a_row_of_none():
     con = fleet(raw_flights=[flight(n) for n in range(DAYS)] + [flight(3, tail="Z-1", operator="ZZZ")])
     query = "select n_flights, n_messages, total_cost, saving_at_most from operator_costs where operator = 'ZZZ'"
     assert rows(con, query) == [(1, 0, 0.0, 0.0)]
-
-
-def test_one_figure_of_ours_marks_the_row():
     con = fleet(raw_costs=[p | ({"source": "default"} if p["item"] == "wash" else {}) for p in PRICES])
     assert rows(con, "select distinct cost_source from operator_costs") == [("default",)]
     assert rows(con, "select spell, cost_source from realised_savings order by spell") == [
         (0, "costs.toml"), (1, "costs.toml"), (2, "default"),
     ]  # fmt: skip
-
-
-def test_seasons_have_chance_and_margin():
     margins = [flight(n) | {"pack": 1, "hx_margin_k": float(n)} for n in range(31)]
     query = "select p_event_50, margin_k, margin_worst_tenth_k from seasonality where calendar_month = 3"
     assert rows(fleet(features=margins), query) == [(pytest.approx(0.15), 15.0, 3.0)]

@@ -14,20 +14,16 @@ from pipelines.report.facts import OUTLOOKS
 from pipelines.storage.publication import views
 
 
-def test_lead_is_counted_in_flights_from_the_first_alert_of_that_unit():
+def test_lead_is_counted_from_the_first_alert_of_that_unit_and_not_of_the_one_before():
     con = catalog(
         raw_flights=[flight(n) for n in range(60)],
         raw_maintenance=[replaced(20)],
         raw_messages=[message(19), message(50), message(51), message(30, "21-51-CCFLOW")],
         features_alerts=[alert("old", 5, closed=21), alert("new", 40), alert("door", 41, component="RAM_DOOR")],
     )
-    leads = rows(
-        con, "select component, alert_id, lead_flights, n_messages from alert_lead_times order by message_time"
-    )
+    question = "select component, alert_id, lead_flights, n_messages from alert_lead_times order by message_time"
+    leads = rows(con, question)
     assert leads == [("HX", "old", 14, 1), ("CC", None, None, 1), ("HX", "new", 10, 2)]
-
-
-def test_an_alert_of_the_unit_before_does_not_count_as_a_warning():
     con = catalog(
         raw_flights=[flight(n) for n in range(60)],
         raw_maintenance=[replaced(20)],
@@ -40,10 +36,7 @@ def test_an_alert_of_the_unit_before_does_not_count_as_a_warning():
 def test_outcomes_of_alerts():
     con = catalog(
         raw_maintenance=[
-            replaced(10),
-            replaced(30, None),
-            replaced(50, "NO_FAULT_FOUND"),
-            replaced(95, component="CC"),
+            replaced(10), replaced(30, None), replaced(50, "NO_FAULT_FOUND"), replaced(95, component="CC"),
         ],
         raw_messages=[message(68), message(89)],
         features_alerts=[
@@ -53,15 +46,11 @@ def test_outcomes_of_alerts():
             alert("told", 67, closed=70),
             alert("still", 92),
         ],
-    )
+    )  # fmt: skip
     outcomes = dict(rows(con, "select alert_id, outcome from alert_outcomes"))
     assert outcomes == {
-        "found": "confirmed",
-        "spare": "replaced",
-        "none": "nothing",
-        "told": "message",
-        "still": "open",
-    }
+        "found": "confirmed", "spare": "replaced", "none": "nothing", "told": "message", "still": "open",
+    }  # fmt: skip
     assert rows(con, "select alert_id, open_days from false_alarms") == [("none", 5.0)]
     counts = "n_alerts, n_judged, n_right, n_open, n_unjudged"
     assert rows(con, f"select {counts} from alert_hit_rates") == [(5, 3, 2, 1, 1)]
@@ -81,9 +70,8 @@ def test_lives_and_their_slopes():
     second = [fouling(40 + n, 0.004 * n) for n in range(40)]
     other = [fouling(n, 0.001 * n, tail="T-2") for n in range(40)]
     con = catalog(twin_health=first + second + other, raw_maintenance=[replaced(39)])
-    lives = rows(
-        con, "select tail, unit, n_flights, removed_on, fouling_per_100_flights from exchanger_lives order by 1, 2"
-    )
+    question = "select tail, unit, n_flights, removed_on, fouling_per_100_flights from exchanger_lives order by 1, 2"
+    lives = rows(con, question)
     day = (START + dt.timedelta(days=39)).date()
     assert [f[:4] for f in lives] == [("T-1", 0, 40, day), ("T-1", 1, 40, None), ("T-2", 0, 40, None)]
     assert [f[4] for f in lives] == pytest.approx([0.2, 0.4, 0.1])
@@ -103,9 +91,17 @@ def test_views_give_the_day_of_a_replacement_to_the_unit_that_the_core_gives_it_
     assert number_units(flights, log)["unit"].value_counts().sort("unit").rows() == lives
 
 
-def test_work_is_compared_before_and_after():
+def test_work_is_compared_before_and_after_and_an_empty_catalog_answers():
     con = catalog(twin_health=[fouling(n, 0.4 if n < 50 else 0.01) for n in range(80)], raw_maintenance=[replaced(52)])
     assert rows(con, "select before_work, after_work, round(moved_by, 9) from before_and_after") == [(0.4, 0.01, -0.39)]
+    con = catalog()
+    counts = {name: rows(con, f"select count(*)::int from {name}")[0][0] for name in views()}
+    assert counts == dict.fromkeys(views(), 0) | {"start_here": 6}
+    assert all(rows(con, sql) == [] for sql in CHECKS.values())
+    health = [fouling(n, 0.1) | {"status": s} for n, s in enumerate(("ok", "few_samples", "sensor_corrected",
+                                                                    *UNOBSERVED))]  # fmt: skip
+    con = catalog(twin_health=health)
+    assert {s for (s,) in rows(con, "select status from health_parameters where not is_observed")} == set(UNOBSERVED)
 
 
 @pytest.mark.parametrize(
@@ -134,10 +130,8 @@ def test_a_recovery_without_work_in_the_log_is_listed_once(after, sd, log, n):
 def test_gaps():
     def leg(day: int, number: int) -> dict:
         row = flight(day)
-        return row | {
-            "flight_id": row["flight_id"][:-2] + f"{number:02d}",
-            "departed_at": row["departed_at"] + dt.timedelta(hours=number),
-        }
+        at = row["departed_at"] + dt.timedelta(hours=number)
+        return row | {"flight_id": row["flight_id"][:-2] + f"{number:02d}", "departed_at": at}
 
     days = [d for d in range(40) if not 10 <= d < 20]
     flown = [leg(d, 1) for d in days] + [leg(5, 4)] + [flight(d, tail="T-2") for d in range(20)]
@@ -145,11 +139,9 @@ def test_gaps():
     con = catalog(raw_flights=flown, raw_fleet=fleet)
     gaps = rows(con, "select tail, gap, n_flights, round(silent_days) from data_gaps order by 1, 2")
     assert gaps == [
-        ("T-1", "missing_leg", 2, None),
-        ("T-1", "silence", None, 11),
-        ("T-2", "silent_now", None, 20),
+        ("T-1", "missing_leg", 2, None), ("T-1", "silence", None, 11), ("T-2", "silent_now", None, 20),
         ("T-3", "never_heard", None, None),
-    ]
+    ]  # fmt: skip
 
 
 def test_sensors_are_judged_by_what_was_recorded_and_what_was_left():
@@ -161,22 +153,17 @@ def test_sensors_are_judged_by_what_was_recorded_and_what_was_left():
     recorded = [sample(k, None if k < 2 else 300.0, "raw") for k in range(10)]
     left = [sample(k, None if k < 4 else 300.0, "legs") for k in range(10)]
     con = catalog(raw_snapshots=recorded, legs_samples=left)
-    assert rows(con, "select recorded_share, believed_share from sensor_health where signal = 'hx_out_k'") == [
-        (0.8, 0.75)
-    ]
+    shares = rows(con, "select recorded_share, believed_share from sensor_health where signal = 'hx_out_k'")
+    assert shares == [(0.8, 0.75)]
     assert rows(con, "select count(*), min(recorded_share) from sensor_health") == [(16, 0.0)]
 
 
 def test_the_ranking_puts_first_what_cannot_wait():
     health = [fouling(1, loss, tail=t) for t, loss in (("T-1", 0.1), ("T-2", 0.3), ("T-3", 0.2), ("T-4", 0.01))]
     prognosis = {
-        "component": "HX",
-        "rul_flights": 10.0,
-        "rul_low": 1.0,
-        "rul_high": 20.0,
-        "model_version": "m",
+        "component": "HX", "rul_flights": 10.0, "rul_low": 1.0, "rul_high": 20.0, "model_version": "m",
         "split": "live",
-    }
+    }  # fmt: skip
     outlook = [
         flight(1, tail=t) | prognosis | {"pack": 1, "p_event_50": p}
         for t, p in (("T-2", 0.05), ("T-3", 0.7), ("T-4", 0.01))
@@ -184,13 +171,6 @@ def test_the_ranking_puts_first_what_cannot_wait():
     con = catalog(twin_health=health, prognoses=outlook, features_alerts=[alert("a", 1) | {"severity": "high"}])
     ranking = rows(con, "select tail, urgency from fleet_ranking order by place")
     assert ranking == [("T-3", "act"), ("T-1", "act"), ("T-2", "none"), ("T-4", "none")]
-
-
-def test_an_empty_catalog_answers_every_question():
-    con = catalog()
-    counts = {name: rows(con, f"select count(*)::int from {name}")[0][0] for name in views()}
-    assert counts == dict.fromkeys(views(), 0) | {"start_here": 6}
-    assert all(rows(con, sql) == [] for sql in CHECKS.values())
 
 
 def inspected(n: int, finding: str | None = "NO_FAULT_FOUND", **more: object) -> dict:
@@ -202,31 +182,19 @@ def credited(*work: dict, **alerts: dict) -> dict[str, tuple]:
     return {n: tuple(r) for n, *r in rows(con, "select alert_id, outcome, work_orders from alert_outcomes")}
 
 
-def test_an_inspection_is_credited_to_the_alert_that_was_open_on_its_day():
+def test_work_is_credited_to_the_alert_open_or_last_closed_of_its_unit():
     """Not to one that had closed twelve days before."""
     clean = alert("", 38, 43) | {"closed_reason": "found_clean"}
     credits = credited(inspected(42), old=alert("", 10, 30), open=clean)
     assert credits == {"old": ("nothing", None), "open": ("no_fault_found", "WO42")}
-
-
-def test_without_an_open_alert_work_is_credited_to_the_one_that_closed_last():
     credits = credited(inspected(42), older=alert("", 10, 32), last=alert("", 33, 38), long=alert("", 5, 20))
     assert credits == {"older": ("nothing", None), "last": ("no_fault_found", "WO42"), "long": ("nothing", None)}
-
-
-def test_work_on_the_next_unit_says_nothing_of_an_alert_that_ended_with_the_last():
     ended = alert("", 10, 31) | {"closed_reason": "renewed"}
     assert credited(replaced(30), inspected(40), one=ended) == {"one": ("confirmed", "WO30")}
-
-
-def test_an_inspection_that_missed_it_is_corrected_by_what_was_found_soon_after():
-    clean = alert("", 10, 31) | {"closed_reason": "found_clean"}
-    assert credited(inspected(30), replaced(33, "CLOGGED"), one=clean)["one"] == ("confirmed", "WO30, WO33")
-
-
-def test_what_an_engineer_closed_is_credited_to_that_alert_alone():
     credits = credited(inspected(42, "FOULED", closes_alert_id="mine"), mine=alert("", 38), beside=alert("", 30))
     assert credits == {"mine": ("confirmed", "WO42"), "beside": ("open", None)}
+    clean = alert("", 10, 31) | {"closed_reason": "found_clean"}
+    assert credited(inspected(30), replaced(33, "CLOGGED"), one=clean)["one"] == ("confirmed", "WO30, WO33")
 
 
 def test_the_published_hit_rate_follows_what_was_found():
@@ -252,10 +220,8 @@ def test_a_prognosis_that_an_inspection_contradicts_says_so_until_the_part_is_re
         features_alerts=[inspected_alert],
         raw_maintenance=[replaced(39)],
     )
-    assert [f[:2] for f in rows(con, "select status, count(*)::int from prognoses group by 1 order by 1")] == [
-        ("contradicted", 20),
-        ("ok", 40),
-    ]
+    by_status = rows(con, "select status, count(*)::int from prognoses group by 1 order by 1")
+    assert [f[:2] for f in by_status] == [("contradicted", 20), ("ok", 40)]
     assert rows(con, "select urgency from fleet_ranking") == [("act",)]
     con.execute("delete from tables.raw_maintenance")
     assert rows(con, "select urgency from fleet_ranking") == [("plan",)]
@@ -271,12 +237,8 @@ def test_loss_and_margin_by_route_and_air():
         loss, n_seen = (0.01 * n, n) if n < 10 else (0.0, n - 10)
         tat, margin = air[flown["destination"]]
         own = {
-            "pack": 1,
-            "hx_fouling": loss,
-            "flights_seen_of_unit": n_seen,
-            "tat_cruise_k": tat,
-            "hx_margin_k": margin,
-        }
+            "pack": 1, "hx_fouling": loss, "flights_seen_of_unit": n_seen, "tat_cruise_k": tat, "hx_margin_k": margin,
+        }  # fmt: skip
         features.append(flight(n) | own)
     con = catalog(raw_flights=[*hot, *cold], features=features)
     columns = "destination, ambient_k, n_flights, round(gained_per_100_flights, 6), margin_k"
@@ -319,26 +281,16 @@ def test_no_information_is_not_a_plan():
     assert rows(con, "select distinct is_observed from health_parameters where tail = 'T-1'") == [(False,)]
 
 
-def test_a_new_unit_is_unknown_until_it_has_flown_with_something_to_see():
+def test_a_new_unit_is_unknown_and_the_last_known_stands_before_it():
     health = [fouling(n, 0.2) for n in range(3)] + [unobserved(n) for n in range(3, 6)]
     con = catalog(twin_health=health, raw_maintenance=[replaced(2)], prognoses=[flight(5) | PROGNOSIS])
     assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [("unknown", None)]
     con.execute("update tables.twin_health set status = 'ok' where departed_at >= '2024-03-06'")
     assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [("plan", 0.15)]
-
-
-def test_the_last_known_of_a_pack_stands_before_the_first_unknown():
     health = [fouling(1, 0.0, tail="T-9"), unobserved(1, tail="T-1")]
     con = catalog(twin_health=health, prognoses=[flight(1, tail="T-9") | PROGNOSIS | {"p_event_50": 0.01}])
     ranking = rows(con, "select tail, urgency from fleet_ranking order by place")
     assert ranking == [("T-9", "none"), ("T-1", "unknown")]
-
-
-def test_views_and_rules_of_alerts_agree_on_what_an_estimate_rests_on():
-    health = [fouling(n, 0.1) | {"status": s} for n, s in enumerate(("ok", "few_samples", "sensor_corrected",
-                                                                    *UNOBSERVED))]  # fmt: skip
-    con = catalog(twin_health=health)
-    assert {s for (s,) in rows(con, "select status from health_parameters where not is_observed")} == set(UNOBSERVED)
 
 
 def test_what_was_washed_or_replaced_since_the_last_flight_counts_at_once():

@@ -28,22 +28,19 @@ def gain_record(seed, before=1.0, after=1.6):
     )
 
 
-def test_a_jump_is_followed_where_the_plain_filter_lags():
+def test_a_jump_is_followed_where_the_plain_filter_lags_and_else_it_is_that_filter():
     problem = gain_record(0)
     tracked, plain = StrongTracking().estimate(problem), ExtendedKalman(smoother_passes=0).estimate(problem)
     assert abs(tracked.path[JUMP_AT + 15, 0] - 1.6) < 0.1
     assert abs(plain.path[JUMP_AT + 15, 0] - 1.6) > 0.4
     assert abs(tracked.belief.mean[0] - 1.6) < 4.0 * tracked.belief.sd[0]
-
-
-def test_without_a_jump_it_is_the_plain_filter():
     problem = gain_record(1, after=1.0)
     tracked, plain = StrongTracking().estimate(problem), ExtendedKalman(smoother_passes=0).estimate(problem)
     np.testing.assert_allclose(tracked.belief.mean, plain.belief.mean, atol=1e-9)
     np.testing.assert_allclose(tracked.belief.cov, plain.belief.cov, rtol=1e-6)
 
 
-def test_classification_tells_the_jump_and_its_time():
+def test_classification_tells_the_jump_and_its_time_by_a_path():
     problem = gain_record(2)
     nominal = Belief(np.array([1.0]), np.array([[0.02**2]]))
     first = classify(problem.names, StrongTracking().estimate(problem), nominal).first()["gain"]
@@ -52,9 +49,6 @@ def test_classification_tells_the_jump_and_its_time():
     quiet = gain_record(3, after=1.0)
     none = classify(quiet.names, StrongTracking().estimate(quiet), nominal)
     assert none.first()["gain"] is None or none.probability[JUMP_AT:].max() < 0.95
-
-
-def test_classification_needs_a_path():
     problem = gain_record(0)
     with pytest.raises(ValueError, match="path"):
         classify(problem.names, NonlinearLeastSquares().estimate(problem), problem.prior)

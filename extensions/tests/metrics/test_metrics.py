@@ -41,13 +41,10 @@ def test_figures_are_those_of_ledger_and_catalog(sample_home, tmp_path):
     assert figures(printed.output) == values
 
 
-def test_without_a_night_one_line_tells_what_to_do(tmp_path):
+def test_every_rule_is_over_a_figure_and_without_a_night_one_line_tells_what_to_do(tmp_path, sample_home):
     result = CliRunner().invoke(app, ["metrics", "--home", str(tmp_path)])
     assert isinstance(result.exception, StopError)
     assert "run `hdt nightly" in str(result.exception)
-
-
-def test_every_rule_is_over_a_figure_that_exists(sample_home):
     names = {family.name for family in read_metrics(sample_home).collect()}
     rules = [rule for group in yaml.safe_load(RULES.read_text())["groups"] for rule in group["rules"]]
     assert len(rules) == 4

@@ -115,7 +115,7 @@ def with_outlook(facts: Facts, **values) -> Facts:
     return replace(facts, frames=facts.frames | {"outlooks": pl.DataFrame(rows, schema=facts["outlooks"].schema)})
 
 
-def test_the_forecast_is_a_fan_from_the_last_loss_to_the_messages_level(facts):
+def test_the_forecast_is_a_fan_from_each_components_own_last_loss(facts):
     left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0}
     for track in tracks(with_outlook(facts, **left)).values():
         now, loss = track["now"], track["own"]["y"][-1]
@@ -128,9 +128,6 @@ def test_the_forecast_is_a_fan_from_the_last_loss_to_the_messages_level(facts):
     for lacking in ({"flights_per_day": None}, {"rul_low": None}):
         charts = tracks(with_outlook(facts, **(left | lacking)))
         assert [t["fan"] for t in charts.values()] == [{}] * len(charts)
-
-
-def test_the_fan_of_a_compressor_starts_from_its_own_loss(facts):
     left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0, "component": "CC"}
     half = facts["health"].filter(parameter="hx_fouling").with_columns(parameter=pl.lit("cc_efficiency_loss"))
     health = pl.concat([facts["health"].filter(parameter="hx_fouling"), half.with_columns(value=0.5 * pl.col("value"))])
@@ -148,7 +145,7 @@ def test_a_frame_places_its_corners():
     assert frame.area(area) == "0,0 1000,500 1000,1000 0,1000"
 
 
-def test_a_card_has_every_choice_with_chance_cost_and_work(facts):
+def test_a_card_has_every_choice_and_fifty_aircraft_stay_below_five_megabytes(facts):
     cards = tonight_with_cards(facts, 0.15)["cards"]
     alerts = [a for c in cards for a in c["alerts"]]
     assert {a["alert_id"] for a in alerts} == set(facts["alerts"].filter(pl.col("closed_at").is_null())["alert_id"])
@@ -159,6 +156,14 @@ def test_a_card_has_every_choice_with_chance_cost_and_work(facts):
         assert all("min, " in c[3] for c in alert["choices"] if c[0] != "defer to the check")
         chance = {c[0]: c[1] for c in alert["choices"]}
         assert chance["inspect"] == chance["defer to the check"], "a look alone changes no chance"
+    frames = {
+        name: pl.concat(f.with_columns(tail=pl.format("T{}-{}", i, pl.col("tail").str.slice(-3))) for i in range(25))
+        for name, f in facts.frames.items()
+        if "tail" in f.columns
+    }
+    whole = page(replace(facts, frames=facts.frames | frames))
+    assert whole.count('class="track"') >= 100
+    assert len(whole.encode()) < 5_000_000
 
 
 def test_nine_of_ten_packs_lie_in_the_band_of_the_fleet(facts):
@@ -203,9 +208,8 @@ def first_flights(facts: Facts, n: int) -> Facts:
     unknown = pl.lit(None, dtype=pl.Float64)
     outlook = ("rul_flights", "rul_low", "rul_high", "p_event_50", "cc_p_event_50")
     ranking = frames["ranking"].with_columns(unknown.alias(c) for c in outlook)
-    frames["ranking"] = ranking.with_columns(
-        diagnoses=pl.lit(None, dtype=pl.String), raised_at=None, urgency=pl.lit("none"), hx_fouling_sd=unknown
-    )
+    quiet = {"diagnoses": pl.lit(None, dtype=pl.String), "raised_at": None, "urgency": pl.lit("none")}
+    frames["ranking"] = ranking.with_columns(**quiet, hx_fouling_sd=unknown)
     frames["twin"] = facts["twin"].filter(own, tail=tail)
     return replace(facts, frames=frames | {"segment": facts["segment"].clear()}, card={}, dsm=None)
 
@@ -217,17 +221,6 @@ def test_a_few_flights_of_one_aircraft(facts, read, n):
     text = parsed.text()
     assert "Nothing to do tonight. 2 packs watched" in text
     assert "Not calibrated yet" in text
-
-
-def test_fifty_aircraft_stay_below_five_megabytes(facts):
-    frames = {
-        name: pl.concat(f.with_columns(tail=pl.format("T{}-{}", i, pl.col("tail").str.slice(-3))) for i in range(25))
-        for name, f in facts.frames.items()
-        if "tail" in f.columns
-    }
-    whole = page(replace(facts, frames=facts.frames | frames))
-    assert whole.count('class="track"') >= 100
-    assert len(whole.encode()) < 5_000_000
 
 
 def test_a_hostile_fleet_stays_in_its_place(facts, read, hostile, sample_page):

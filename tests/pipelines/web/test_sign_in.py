@@ -157,10 +157,8 @@ local = "viewer"
 "ada@example.org" = "engineer"
 "Line 1" = { role = "viewer", operators = ["AQX", "BZR"] }
 """)
-    assert read_people(tmp_path) == {
-        "ada@example.org": Person("ada@example.org", "engineer"),
-        "Line 1": Person("Line 1", "viewer", ("AQX", "BZR")),
-    }
+    people = (Person("ada@example.org", "engineer"), Person("Line 1", "viewer", ("AQX", "BZR")))
+    assert read_people(tmp_path) == {person.name: person for person in people}
     assert local_person(tmp_path).role == "viewer"
     assert [Person("a", role).may_change for role in ("viewer", "engineer")] == [False, True]
     assert [Person("a", operators=of).may_read("AQX") for of in ((), ("AQX",), ("BZR",))] == [True, True, False]
