@@ -1,8 +1,10 @@
 """Mutants change one place that means something; a room's tests are asked about each in a copy of the tree."""
 
+import tomllib
+
 from cosmic_ray.mutating import mutate_code
 
-from benchmarks.mutation import edit, places
+from benchmarks.mutation import ROOT, edit, places
 
 SOURCE = '''"""Text 1."""
 LIMIT, STEP = 4.0, 3
@@ -25,3 +27,10 @@ def test_mutants_change_numbers_signs_and_comparisons_and_no_words():
         "def beyond(*, x: float | None = 2.0) -> bool | None:", "if not x is None:", "if x is not None:",
         "return x < LIMIT", "return x >= LIMIT",
     }  # fmt: skip
+
+
+def test_mutants_that_change_nothing_stand_once_beside_the_line_they_edit():
+    entries = tomllib.loads((ROOT / "tests/mutants.toml").read_text())["equivalent"]
+    assert [e for e in entries if e["before"] not in (ROOT / e["module"]).read_text()] == []
+    keys = [(e["module"], e["before"], *e["after"]) for e in entries]
+    assert len(set(keys)) == len(keys)
