@@ -112,8 +112,7 @@ def test_the_suite_takes_what_was_added(tree):
         "tests/hdt_core/estimation/test_estimators.py",
         "tests/pipelines/test_order.py",
         "tests/sql/test_sample_fleet.py::test_a_view_is_a_question_with_grain_and_sources",
-        "tests/sql/test_sample_fleet.py::test_every_column_of_every_view_has_a_meaning",
-        "tests/sql/test_sample_fleet.py::test_the_data_dictionary_is_up_to_date",
+        "tests/sql/test_sample_fleet.py::test_every_column_has_a_meaning_in_views_catalog_and_an_up_to_date_dictionary",
     )
     done = python(tree, "-m", "pytest", "-vv", "-p", "no:cacheprovider", "-k", "patient or not estimator", *relevant)
     assert done.returncode == 0, done.stdout[-3000:]
