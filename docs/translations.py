@@ -9,6 +9,7 @@ from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po, write_po
 
 from hdt_core.alerts.diagnoses import DIAGNOSES
+from hdt_core.flight.component_legs import REASONS as UNIT_REASONS
 from pipelines.report import words
 from pipelines.report.tasks import ACTIONS
 from pipelines.report.tonight import STATES, STATUSES
@@ -40,7 +41,17 @@ def collect_messages() -> Catalog:
 def declared_messages() -> list[str]:
     """List messages that stand in tables and declarations instead of calls."""
     limits = [name for name, _unit in words.THRESHOLDS.values()]
-    tables = (words.URGENCY, words.REASONS, words.PARTS, words.SIDES, words.NAMES, ACTIONS, STATUSES, STATES)
+    tables = (
+        words.URGENCY,
+        words.REASONS,
+        words.PARTS,
+        words.SIDES,
+        words.NAMES,
+        ACTIONS,
+        STATUSES,
+        STATES,
+        UNIT_REASONS,
+    )
     labels = [text for table in tables for text in table.values()] + [loss for loss, _ in words.WEARS.values()]
     return [*phrases(), *labels, *limits, *DATA_VALUES, *(d.name for d in DIAGNOSES.values())]
 

@@ -13,11 +13,11 @@ NO_EVIDENCE = ("NOT_RECORDED", "FEW_SAMPLES", "UNSTEADY")
 """Reasons for which a flight yields no estimate of the component."""
 REASONS = {
     "NOT_RECORDED": "a signal that the component's model needs is not recorded",
-    "FEW_SAMPLES": "fewer than five samples that the component's model speaks of",
-    "UNSTEADY": "a signal drifted through the flight, so the component was not in steady state",
+    "FEW_SAMPLES": "fewer than five samples to which the component's model applies",
+    "UNSTEADY": "a signal drifted during the flight",
     BLEED: ODD_BLEED,
-    "STRAY": "the flight stands apart from the others the component was calibrated on",
-    "NOT_COMMISSIONED": "too few steady flights of the component as built to know it by",
+    "STRAY": "the flight stands apart from those that the component was calibrated on",
+    "NOT_COMMISSIONED": "too few steady flights of the component as built",
 }
 
 

@@ -10,6 +10,7 @@ import polars as pl
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.components import components, recorded_components
 from hdt_core.flight.admission import SECOND_LEVEL
+from hdt_core.flight.component_legs import REASONS as UNIT_REASONS
 from hdt_core.flight.legs import REASONS as FIRST_LEVEL
 from hdt_core.prognosis.model import HORIZON
 from hdt_core.robust import Z_90
@@ -89,7 +90,8 @@ def _unknown(rows: list[Row], missing: str) -> str:
 
 def _missing(row: Row) -> str:
     """State why there is no estimate, as far as the flights show it."""
-    reason, columns = REASONS.get(row["missing_reason"] or ""), row.get("missing_columns")
+    texts, columns = UNIT_REASONS if "name" in row else REASONS, row.get("missing_columns")
+    reason = texts.get(row["missing_reason"] or "")
     why = [_(reason)] if reason else []
     return "".join(f"; {x}" for x in [*why, *([_("without values: {columns}", columns=columns)] if columns else [])])
 

@@ -11,6 +11,7 @@ from hdt_core.alerts.alerts import VALUES
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.alerts.phrases import THEN
 from hdt_core.components import components
+from pipelines.report import words
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import thresholds
 from pipelines.report.tasks import ACTIONS, Task, action_of, read_tasks, tasks_of, work_text
@@ -177,3 +178,14 @@ def test_at_the_limits_in_service_the_alerts_are_those_of_the_catalog(sample_hom
         rate = rates.get(diagnosis, {"n_alerts": 0, "n_right": 0, "n_judged": 0, "n_open": 0})
         assert (row["alerts"], row["confirmed"], row["open"]) == (rate["n_alerts"], rate["n_right"], rate["n_open"])
         assert row["false"] == rate["n_judged"] - rate["n_right"]
+
+
+def test_why_there_is_no_estimate_is_written_in_the_words_of_the_pack_or_of_the_component():
+    row = {"operator": "AQX", "tail": "LX-AAA", "pack": 1, "urgency": "unknown", "missing_since": None}
+    unit = {"name": "oil cooler", "component": "OIL"}
+    for own, reason, text in (
+        (unit, "NOT_COMMISSIONED", "too few steady flights of the component as built"),
+        (unit, "FEW_SAMPLES", "fewer than five samples to which the component's model applies"),
+        ({}, "NO_CRUISE", words.REASONS["NO_CRUISE"]),
+    ):
+        assert f"; {text}." in words.unknown([row | own | {"missing_reason": reason}])[0]
