@@ -225,4 +225,4 @@ def main(cells: tuple[int, ...] = (10_000, 100_000, 1_000_000), postgres: str = 
 
 
 if __name__ == "__main__":
-    run(main, PAGE)
+    run(main, page=PAGE)

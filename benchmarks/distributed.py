@@ -165,4 +165,4 @@ def main(flights: int = 10_000, aircraft: int = 20) -> Texts:
 
 
 if __name__ == "__main__":
-    run(main, PAGE)
+    run(main, page=PAGE)

@@ -20,30 +20,44 @@ PAGE = DOCS / "benchmark.md"
 
 
 def arguments(doc: str | None) -> argparse.ArgumentParser:
-    """Return a parser described by the module's docstring `doc`, with the option `--write`."""
-    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Return a parser described by the module's docstring `doc`."""
+    return argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+
+def add_write(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--write`."""
     parser.add_argument("--write", action="store_true", help="put what is found into its page of docs/")
-    return parser
 
 
-def run(main: Callable[..., Iterable[tuple[str, str]]], page: Path = PAGE) -> None:
+def run(*mains: Callable[..., Texts], page: Path = PAGE) -> None:
     """Run a benchmark from the command line: the parameters of `main` are options, its results marks and texts.
 
-    A tuple takes several values. Each text is shown as it comes and, with `--write`, put into the page.
+    Of several mains the first word names one. A tuple takes several values. Each text is shown as it comes and, with
+    `--write` and a mark, put into the page.
     """
-    parser = arguments(sys.modules[main.__module__].__doc__)
-    for name, parameter in signature(main).parameters.items():
-        default, option = parameter.default, "--" + name.replace("_", "-")
-        if isinstance(default, bool):
-            parser.add_argument(option, action="store_true")
-        elif isinstance(default, tuple):
-            parser.add_argument(option, default=default, nargs="*", type=type(next(iter(default), "")))
-        else:
-            parser.add_argument(option, default=default, type=type(default))
+    parser = arguments(sys.modules[mains[0].__module__].__doc__)
+    verbs = parser.add_subparsers(required=True) if len(mains) > 1 else None
+    for main in mains:
+        own = verbs.add_parser(main.__name__.replace("_", "-"), help=main.__doc__) if verbs else parser
+        add_write(own)
+        own.set_defaults(main=main)
+        for name, parameter in signature(main).parameters.items():
+            add_option(own, name, parameter.default)
     options = vars(parser.parse_args())
-    write = options.pop("write")
+    main, write = options.pop("main"), options.pop("write")
     for mark, text in main(**options):
         show(mark, text, page, write=write)
+
+
+def add_option(parser: argparse.ArgumentParser, name: str, default: Any) -> None:
+    """Add the option of a parameter, as its default has it."""
+    option = "--" + name.replace("_", "-")
+    if isinstance(default, bool):
+        parser.add_argument(option, action="store_true")
+    elif isinstance(default, tuple):
+        parser.add_argument(option, default=default, nargs="*", type=type(next(iter(default), "")))
+    else:
+        parser.add_argument(option, default=default, type=type(default))
 
 
 def machine() -> str:
@@ -96,9 +110,9 @@ def race_table(claims: Iterable[Claim], packages: Sequence[str]) -> str:
 
 
 def show(mark: str, text: str, page: Path = PAGE, *, write: bool) -> None:
-    """Print a text; with `write`, put it between the marks of that name in its page."""
-    print(f"\n## {mark}\n\n{text}", flush=True)
-    if write:
+    """Print a text; with `write` and a mark, put it between the marks of that name in its page."""
+    print(f"\n## {mark}\n\n{text}" if mark else text, flush=True)
+    if write and mark:
         put(mark, text, page)
 
 

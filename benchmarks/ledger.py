@@ -32,9 +32,10 @@ from typing import Any
 import grimp
 import polars as pl
 
-from benchmarks import chain, samples
+from benchmarks import chain
 from benchmarks.alerts import overall, tally
 from benchmarks.changed_source import changed
+from benchmarks.fleets import read_record, read_truth, thinned, true_lives
 from benchmarks.harness import put
 from benchmarks.twin import fouling_numbers
 from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
@@ -73,7 +74,7 @@ def ledger() -> list[Constant]:
 
 def figures(tables: chain.Tables) -> dict[str, float]:
     """Compute the figures that measure a change, keys of `MOVES`."""
-    lives = samples.true_lives(tables["features"], tables["truth"], tables["events"])
+    lives = true_lives(tables["features"], tables["truth"], tables["events"])
     life = score_prognoses(join_outcomes(tables["prognoses"], tables["features"], lives))
     key = ["tail", "flight_id", "pack"]
     legs = tables["truth"].filter("arrived").join(tables["admitted"].select(*key, "admitted"), on=key)
@@ -149,8 +150,8 @@ def run(fleets: list[list[str]], results: Path, only: list[str], every: int) -> 
     for name, home, folder in fleets:
         pickled = results.with_suffix(f".{name}.pickle")
         if not pickled.exists():
-            record = samples.record(Path(home)) | samples.truth(Path(folder))
-            tables = chain.run(samples.thinned(record, every))
+            record = read_record(Path(home)) | read_truth(Path(folder))
+            tables = chain.run(thinned(record, every))
             pickled.write_bytes(pickle.dumps(tables))
             _note(results, {"fleet": name, "at": "", "factor": 1.0, "figures": figures(tables)})
     done = {(r["fleet"], r["at"], r["factor"]) for r in _read_results(results)}

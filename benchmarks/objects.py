@@ -79,4 +79,4 @@ def main(size: str = "S") -> Texts:
 
 
 if __name__ == "__main__":
-    run(main, PAGE)
+    run(main, page=PAGE)

@@ -182,4 +182,4 @@ def main(flights: int = 100_000, rounds: int = 5, child: tuple[str, ...] = ()) -
 
 
 if __name__ == "__main__":
-    run(main, PAGE)
+    run(main, page=PAGE)

@@ -149,4 +149,4 @@ def main(sizes: tuple[str, ...] = ("S", "M"), rounds: int = 1, night: tuple[str,
 
 
 if __name__ == "__main__":
-    run(main, PAGE)
+    run(main, page=PAGE)

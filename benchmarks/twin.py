@@ -175,4 +175,4 @@ def main(seeds: str = "101-124", flights: int = 350, draws: int = 40) -> Texts:
 
 
 if __name__ == "__main__":
-    run(main, DOCS / "calibration.md")
+    run(main, page=DOCS / "calibration.md")

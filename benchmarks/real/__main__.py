@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarks.harness import DOCS, arguments, put
 from benchmarks.real import cmapss, filters, hydraulic, lives, skab
-from benchmarks.real.page import PAGE, described, plotted
+from benchmarks.real.recipe import PAGE, described, plotted
 
 RECIPES = (filters.RECIPE, hydraulic.RECIPE, cmapss.RECIPE, skab.RECIPE, lives.RECIPE)
 

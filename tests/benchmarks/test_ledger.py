@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import chain, ledger, samples
+from benchmarks import chain, ledger
 from benchmarks.changed_source import changed, numbers
+from benchmarks.fleets import read_record
 from pipelines.storage.store import Store
 
 ROOMS = ("alerts", "calibration", "flight", "health", "margin", "prognosis", "records", "tracking")
@@ -71,7 +72,7 @@ def test_a_name_that_is_not_there_is_refused():
 
 def test_the_chain_in_memory_is_the_night(sample_home):
     """Health, prognoses and alerts are those that the night stored."""
-    tables, store = chain.run(samples.record(sample_home)), Store(sample_home)
+    tables, store = chain.run(read_record(sample_home)), Store(sample_home)
     key = ["operator", "tail", "flight_id", "pack"]
     beside = {"suffix": "_stored", "validate": "1:1"}
     health = tables["health"].join(store.read_table("twin_health"), on=[*key, "parameter"], **beside)

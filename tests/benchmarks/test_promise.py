@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.promise import best_objective, main
-from benchmarks.random_problems import FAMILIES, draw_problems, exact, loud, van_der_pol
+from benchmarks.promise import FAMILIES, best_objective, draw_problems, exact, loud, main, van_der_pol
 from hdt_core.estimation import Belief, NonlinearLeastSquares, UnscentedKalman, estimators
 from hdt_estimators import DifferentialEvolution
 

@@ -8,9 +8,8 @@ import pytest
 
 from benchmarks.real import cmapss, filters, lives, skab
 from benchmarks.real.__main__ import RECIPES
-from benchmarks.real.censored import life_bounds
-from benchmarks.real.page import described
-from benchmarks.real.recipe import Score
+from benchmarks.real.lives import life_bounds
+from benchmarks.real.recipe import Score, described
 
 RNG = np.random.default_rng
 

@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from benchmarks.survival import censored_scores
+from benchmarks.held_out import censored_scores
 
 
 def lives(n: int, cut: float, seed: int = 0) -> pl.DataFrame:

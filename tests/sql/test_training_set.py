@@ -7,7 +7,8 @@ import polars as pl
 import pytest
 from small_catalog import catalog, flight
 
-from benchmarks import chain, samples
+from benchmarks import chain
+from benchmarks.fleets import read_record
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.flight.control_schedules import ControlSchedules
 from hdt_core.tables import TABLES
@@ -28,7 +29,7 @@ def training_set(sample_home) -> pl.DataFrame:
 @pytest.mark.parametrize("cut", [dt.date(2024, 5, 3), dt.date(2024, 6, 4)])
 def test_features_are_those_of_a_history_that_ends_that_day(sample_home, training_set, cut):
     """The leak test: without the flights, messages and work of later days every earlier row is the same."""
-    store, record = Store(sample_home), samples.record(sample_home)
+    store, record = Store(sample_home), read_record(sample_home)
     on = {"snapshots": DAY, "maintenance": pl.col("done_on"), "messages": pl.col("message_time").dt.date()}
     known_then = {name: frame.filter(on[name] < cut) for name, frame in record.items()}
     laws = json.loads(store.read_table("calibration_schedules").filter(name="controllers")["laws"].item())

@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import minimize
 
 from benchmarks.prognosis import calibration
-from benchmarks.real.censored import life_bounds
+from benchmarks.real.lives import life_bounds
 from hdt_core.components import Limit
 from hdt_core.prognosis.component_life import first_passage, learn_limit
 from hdt_core.prognosis.feature_rows import PRIOR_RULES

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from sklearn.ensemble import HistGradientBoostingClassifier
 
-from benchmarks.rolling import predict_prognosis
+from benchmarks.prognosis import predict_prognosis
 from hdt_core.margin.margin import PRIOR_RULE
 from hdt_core.prognosis.base import fit_member
 from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, fleet_rows, tracks
