@@ -3,8 +3,6 @@
 import ast
 from collections.abc import Iterator
 
-Factor = float
-
 
 def changed(source: str, path: str, factor: float, scale: str = "value") -> str:
     """Scale the numbers at `path` in the text of a module.
@@ -56,16 +54,9 @@ def _value(body: list[ast.stmt], name: str, steps: list[str]) -> ast.expr:
     for statement in body:
         if isinstance(statement, ast.ClassDef) and statement.name == name:
             return _value(statement.body, steps.pop(0), steps)
-        if isinstance(statement, ast.AnnAssign) and statement.value and _is(statement.target, name):
-            return statement.value
-        if isinstance(statement, ast.Assign):
-            target = statement.targets[0]
-            if _is(target, name):
-                return statement.value
-            if isinstance(target, ast.Tuple) and isinstance(statement.value, ast.Tuple):
-                for part, value in zip(target.elts, statement.value.elts, strict=True):
-                    if _is(part, name):
-                        return value
+        for assigned, value in _assigned(statement):
+            if assigned == name:
+                return value
     raise KeyError(name)
 
 

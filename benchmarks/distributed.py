@@ -64,12 +64,16 @@ def alone(fleet: Site) -> Row:
     return Row("one process", time.monotonic() - began, 0, 0, summary["runs"], 0, 0, fingerprint(home, ""), load)
 
 
-def together(fleet: Site, how: str, meanwhile: Callable[[], str] = lambda: "night") -> Row:
-    """Run a backfill on the running workers; `meanwhile` disturbs it and returns the machine the night ends on."""
+def together(fleet: Site, how: str, meanwhile: Callable[[], str | None] | None = None) -> Row:
+    """Run a backfill on the running workers; half-way `meanwhile` disturbs it and names a new machine, if any."""
     fleet.forget()
     since, began = fleet.now(), time.monotonic()
     fleet.night("night")
-    ends_on = meanwhile()
+    ends_on = "night"
+    if meanwhile:  # once half of the aircraft have their flights stored
+        half = len(list(fleet.landing.glob("*/*/acms"))) // 2
+        wait(lambda: fleet.rows(N_STORED)[0][0] >= half, 1800, "the backfill does not begin")
+        ends_on = meanwhile() or ends_on
     assert fleet.processes[ends_on].wait() == 0, fleet.read_log(ends_on)[-2000:]
     wall = time.monotonic() - began
     with fleet.instance() as instance:
@@ -97,11 +101,6 @@ def _steps(records: list) -> float:
     return sum(max(end for _, end in s) - min(start for start, _ in s) for s in spans.values())
 
 
-def half_way(fleet: Site, aircraft: int) -> None:
-    """Wait until half of the aircraft have their flights stored."""
-    wait(lambda: fleet.rows(N_STORED)[0][0] >= aircraft // 2, 1800, "the backfill does not begin")
-
-
 def measured(root: Path, flights: int, aircraft: int) -> list[tuple[Row, int]]:
     """Every row, with the number of its workers, printed as it comes."""
     list(write_fleet(root, 11, FleetSettings(operators=4, tails=aircraft // 4, flights=flights // aircraft)))
@@ -113,18 +112,7 @@ def measured(root: Path, flights: int, aircraft: int) -> list[tuple[Row, int]]:
             rows.append((row, workers))
             print(row.line(rows[0][0], flights, workers), flush=True)
 
-        def kill() -> str:
-            half_way(fleet, aircraft)
-            fleet.kill("one")
-            return "night"
-
-        def restart() -> str:
-            half_way(fleet, aircraft)
-            restart_broker()
-            return "night"
-
         def schedulers() -> str:
-            half_way(fleet, aircraft)
             assert fleet.night("other").wait() == 2, "two nights at once"
             assert "another run (process" in fleet.read_log("other")
             fleet.kill("night")
@@ -137,9 +125,9 @@ def measured(root: Path, flights: int, aircraft: int) -> list[tuple[Row, int]]:
         note(together(fleet, "one worker"), 1)
         fleet.worker("two")
         note(together(fleet, "two workers"))
-        note(together(fleet, "two, one killed half-way", kill))
+        note(together(fleet, "two, one killed half-way", lambda: fleet.kill("one")))
         fleet.worker("one")
-        note(together(fleet, "two, broker restarted half-way", restart))
+        note(together(fleet, "two, broker restarted half-way", restart_broker))
         note(together(fleet, "two, a second scheduler; the first killed", schedulers))
         print(f"addresses: {fleet.names or 'this machine has one'}", flush=True)
     return rows

@@ -1,13 +1,14 @@
-"""The numbers and the figure of docs/errata.md: `python -m benchmarks.errata [folder for the figure]`."""
+"""The numbers and the figure of docs/errata.md: `python -m benchmarks.errata [--folder DIR]`, for the figure."""
 
-import sys
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+from benchmarks.harness import DOCS, Texts, run
 from benchmarks.spring_mass_damper import PAPER
 from hdt_benchmark.spring_mass_damper import euler_position_m
 from hdt_core.physics.compressor import inlet_flow_kg_s, pressure_ratio
@@ -22,9 +23,7 @@ from hdt_core.physics.heat_exchanger import (
 )
 from hdt_core.physics.lumped_exchanger import effectiveness_ceiling, lumped_exchanger, tied_coefficient_w_k
 
-mpl.use("Agg")
 mpl.rcParams["svg.hashsalt"] = "hdt"  # the same figure, byte for byte, every time
-import matplotlib.pyplot as plt  # noqa: E402
 
 HOT_KG_S, HOT_IN_K, COLD_IN_K = 0.9, 390.0, 250.0
 RAM_KG_S = (1.0, 1.6, 2.5)
@@ -141,7 +140,8 @@ def compressor_eigenvalues() -> np.ndarray:
 
 def figure(folder: Path) -> Path:
     """Three panels: effectiveness and ceilings, H against UA, share of flights without H against UA."""
-    fig, (left, middle, right) = plt.subplots(1, 3, figsize=(13.5, 4.2), layout="constrained")
+    drawing = Figure(figsize=(13.5, 4.2), layout="constrained")
+    left, middle, right = drawing.subplots(1, 3)
     ua = np.linspace(100.0, 3000.0, 600)
     for ram, colour in zip(RAM_KG_S, ("tab:red", "tab:blue", "tab:green"), strict=True):
         ntu = ua / (HOT_KG_S * CP_HOT_J_KG_K)
@@ -170,12 +170,11 @@ def figure(folder: Path) -> Path:
         axis.legend(fontsize=8)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "errata_lumped_exchanger.svg"
-    fig.savefig(path, metadata={"Date": None})
-    plt.close(fig)
+    drawing.savefig(path, metadata={"Date": None})
     return path
 
 
-def main(folder: Path) -> None:
+def main(folder: Path = DOCS / "plots") -> Texts:
     """Print every number, then draw."""
     print("tied H [W/K] of a cross-flow exchanger, hot 0.9 kg/s, 390/250 K")
     for ram in RAM_KG_S:
@@ -209,8 +208,8 @@ def main(folder: Path) -> None:
         print(f"{name} c {c}, k {k}: MSE {own_mse:.2e} where {mse:g} is printed, MAPE {own_mape:.3f} where {mape:g} is")
     c, k = exact_fit_to_euler()
     print(f"exact equation fitted to noise-free Euler data: c {c:.4f}, k {k:.4f}")
-    print("drew", figure(folder))
+    yield "", f"drew {figure(folder)}"
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path("docs/plots"))
+    run(main)

@@ -6,9 +6,9 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from inspect import signature
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 from hdt_benchmark import timing
 from hdt_benchmark.timing import Claim, clock, times
@@ -42,17 +42,21 @@ def run(*mains: Callable[..., Texts], page: Path = PAGE) -> None:
         add_write(own)
         own.set_defaults(main=main)
         for name, parameter in signature(main).parameters.items():
-            add_option(own, name, parameter.default)
+            add_option(own, name, parameter)
     options = vars(parser.parse_args())
     main, write = options.pop("main"), options.pop("write")
     for mark, text in main(**options):
         show(mark, text, page, write=write)
 
 
-def add_option(parser: argparse.ArgumentParser, name: str, default: Any) -> None:
-    """Add the option of a parameter, as its default has it."""
-    option = "--" + name.replace("_", "-")
-    if isinstance(default, bool):
+def add_option(parser: argparse.ArgumentParser, name: str, parameter: Parameter) -> None:
+    """Add the option of a parameter: as its default has it, or by its type and required."""
+    default, option = parameter.default, "--" + name.replace("_", "-")
+    if default is Parameter.empty:
+        many = get_origin(parameter.annotation) is tuple
+        kind = {"type": str, "nargs": "+"} if many else {"type": parameter.annotation}
+        parser.add_argument(option, required=True, **kind)
+    elif isinstance(default, bool):
         parser.add_argument(option, action="store_true")
     elif isinstance(default, tuple):
         parser.add_argument(option, default=default, nargs="*", type=type(next(iter(default), "")))

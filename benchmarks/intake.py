@@ -2,21 +2,20 @@
 
 The peer reads each flight's file with `pl.read_csv` and writes Parquet, either a file a flight or all in one; it checks
 nothing. Ours lists, checks, converts to SI, removes duplicates and writes all in one. CPU of one thread, best of the
-rounds, contestants in turn. Run: `python -m benchmarks.intake [landing]`.
+rounds, contestants in turn. Run: `python -m benchmarks.intake [--landing DIR]`.
 """
 
 import os
 
 os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
-import sys
 import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
 
 import polars as pl
 
-from benchmarks.harness import best_cpu_s
+from benchmarks.harness import Texts, best_cpu_s, markdown, run
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.merge import merge_deliveries
@@ -52,7 +51,8 @@ def one_long_file(files: list[LandingFile], out: Path) -> LandingFile:
     return list_landing(out / "landing").files[0]
 
 
-def main(landing: Path) -> None:
+def main(landing: Path = Path("data_samples")) -> Texts:
+    """Files of a landing zone."""
     files = [f for f in list_landing(landing).files if f.kind == "acms"]
     megabytes = sum(f.size for f in files) / 1e6
     with tempfile.TemporaryDirectory() as folder:
@@ -66,13 +66,16 @@ def main(landing: Path) -> None:
             "ours, one long file": lambda: read_snapshots([long], NOW).rows.write_parquet(out / "ours.parquet"),
         }
         best = best_cpu_s(works, ROUNDS)
-    print(f"{len(files)} files of one flight, {megabytes:.1f} MB; one long file of {long.size / 1e6:.1f} MB")
-    for name, seconds in best.items():
-        print(f"{name:24s}{seconds:8.3f} s CPU")
-    print(f"ours / peer, a file a flight: {best['ours'] / best['peer, a file a flight']:.2f} (claim: at most 1.5)")
-    print(f"ours / peer, all in one:      {best['ours'] / best['peer, all in one']:.2f} (claim: at most 1.5)")
-    print(f"ours / peer, one long file:   {best['ours, one long file'] / best['peer, one long file']:.2f} (no claim)")
+    lines = [[f"{len(files)} files of one flight, {megabytes:.1f} MB; one of {long.size / 1e6:.1f} MB", "CPU [s]"]]
+    lines += [[name, f"{seconds:.3f}"] for name, seconds in best.items()]
+    for peer, own, claim in (
+        ("a file a flight", "ours", "at most 1.5"),
+        ("all in one", "ours", "at most 1.5"),
+        ("one long file", "ours, one long file", "none"),
+    ):
+        lines.append([f"ours / peer, {peer} (claim: {claim})", f"{best[own] / best[f'peer, {peer}']:.2f}"])
+    yield "", markdown(lines)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "data_samples"))
+    run(main)

@@ -1,16 +1,15 @@
 """Priors and thresholds, their sources, and the effect of halving and doubling them: `python -m benchmarks.ledger`.
 
-    python -m benchmarks.ledger run --fleet NAME HOME TRUTH [--fleet ...] --results FILE [--only PATTERN ...]
-    python -m benchmarks.ledger write --results FILE
+    python -m benchmarks.ledger changes --fleets NAME HOME TRUTH [...] --results FILE [--only PATTERN ...] [--every N]
+    python -m benchmarks.ledger effects --results FILE --write
 
-Claim: no figure hangs on a number that somebody chose. `constants.toml` holds every constant with its source. `run`
+Claim: no figure hangs on a number that somebody chose. `constants.toml` holds every constant with its source. `changes`
 changes one in a copy of the sources, makes again what follows from it (`benchmarks.chain`) on fleets that another
 simulator flew, and scores it against their truth; a line of the results file a run, so that it goes on where it
-stopped. `write` puts the list into docs/constants.md; a change that the results file does not hold stays as the page
+stopped. `effects` puts the list into docs/constants.md; a change that the results file does not hold stays as the page
 has it. The shipped base of the prognosis is not learned again.
 """
 
-import argparse
 import json
 import os
 import pickle
@@ -36,7 +35,7 @@ from benchmarks import chain
 from benchmarks.alerts import overall, tally
 from benchmarks.changed_source import changed
 from benchmarks.fleets import read_record, read_truth, thinned, true_lives
-from benchmarks.harness import put
+from benchmarks.harness import Texts, run
 from benchmarks.twin import fouling_numbers
 from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 
@@ -129,7 +128,8 @@ def try_change(constant: Constant, factor: float, pickled: Path, copy: Path) -> 
     file = copy.joinpath(*constant.module.split(".")).with_suffix(".py")
     source = file.read_text()
     file.write_text(changed(source, constant.path, factor, constant.scale))
-    command = [sys.executable, "-m", "benchmarks.ledger", "one", str(pickled), *affected(constant.module)]
+    command = [sys.executable, "-m", "benchmarks.ledger", "one", "--kept", str(pickled)]
+    command += ["--steps", *affected(constant.module)]
     environment = os.environ | {"PYTHONPATH": str(copy)}
     done = subprocess.run(command, check=False, cwd=copy, env=environment, capture_output=True, text=True)
     file.write_text(source)
@@ -145,28 +145,32 @@ def copy_sources(folder: Path) -> Path:
     return folder
 
 
-def run(fleets: list[list[str]], results: Path, only: list[str], every: int) -> None:
-    """Run the changes missing from the results file, on one aircraft in `every` of each fleet."""
-    for name, home, folder in fleets:
+def changes(fleets: tuple[str, ...], results: Path, only: tuple[str, ...] = ("*",), every: int = 1) -> Texts:
+    """Make the changes missing from the results file: of the constants that match `only` (patterns of module:constant),
+    on one aircraft in `every` of each fleet.
+    """
+    threes = list(zip(*[iter(fleets)] * 3, strict=True))
+    for name, home, folder in threes:
         pickled = results.with_suffix(f".{name}.pickle")
         if not pickled.exists():
-            record = read_record(Path(home)) | read_truth(Path(folder))
-            tables = chain.run(thinned(record, every))
+            tables = chain.run(thinned(read_record(Path(home)) | read_truth(Path(folder)), every))
             pickled.write_bytes(pickle.dumps(tables))
-            _note(results, {"fleet": name, "at": "", "factor": 1.0, "figures": figures(tables)})
+            yield "", _note(results, {"fleet": name, "at": "", "factor": 1.0, "figures": figures(tables)})
     done = {(r["fleet"], r["at"], r["factor"]) for r in _read_results(results)}
     with tempfile.TemporaryDirectory() as folder:
         copy = copy_sources(Path(folder))
-        for constant, (name, _, _), factor in product(ledger(), fleets, FACTORS):
+        for constant, (name, _, _), factor in product(ledger(), threes, FACTORS):
             at = f"{constant.module}:{constant.path}"
             if any(fnmatch(at, pattern) for pattern in only) and (name, at, factor) not in done:
                 result = try_change(constant, factor, results.with_suffix(f".{name}.pickle"), copy)
-                _note(results, {"fleet": name, "at": at, "factor": factor, "figures": result})
+                yield "", _note(results, {"fleet": name, "at": at, "factor": factor, "figures": result})
 
 
-def _note(results: Path, row: dict[str, Any]) -> None:
+def _note(results: Path, row: dict[str, Any]) -> str:
+    line = json.dumps(row)
     with results.open("a") as file:
-        file.write(json.dumps(row) + "\n")
+        file.write(line + "\n")
+    return line
 
 
 def _read_results(results: Path) -> Iterator[dict[str, Any]]:
@@ -217,27 +221,15 @@ def _format_changes(now: dict[str, Any], before: dict[str, float]) -> str:
     return ", ".join(f"{name} {by:+.2g}" for name, by in changes.items()) or "-"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    running = verbs.add_parser("run")
-    running.add_argument("--fleet", nargs=3, action="append", required=True, metavar=("NAME", "HOME", "TRUTH"))
-    running.add_argument("--only", nargs="+", default=["*"], metavar="PATTERN", help="of module:constant")
-    running.add_argument("--every", type=int, default=1, help="of the aircraft one in so many")
-    writing = verbs.add_parser("write")
-    one = verbs.add_parser("one")
-    one.add_argument("kept", type=Path)
-    one.add_argument("steps", nargs="*")
-    for verb in (running, writing):
-        verb.add_argument("--results", type=Path, required=True)
-    options = parser.parse_args()
-    if options.verb == "run":
-        run(options.fleet, options.results, options.only, options.every)
-    elif options.verb == "write":
-        put("ledger", table(options.results), PAGE)
-    else:
-        print(json.dumps(figures(rerun(pickle.loads(options.kept.read_bytes()), options.steps))))
+def effects(results: Path) -> Texts:
+    """Put the list into the page."""
+    yield "ledger", table(results)
+
+
+def one(kept: Path, steps: tuple[str, ...] = ()) -> Texts:
+    """Compute the figures after these steps, for `changes`, in a process on changed sources."""
+    yield "", json.dumps(figures(rerun(pickle.loads(kept.read_bytes()), list(steps))))
 
 
 if __name__ == "__main__":
-    main()
+    run(changes, effects, one, page=PAGE)

@@ -7,7 +7,6 @@ Steady cruise is marked in the samples for both. Needs the extra `benchmark`.
 """
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,7 +15,7 @@ import pandas as pd
 import polars as pl
 from scipy.optimize import brentq, minimize_scalar
 
-from benchmarks.harness import race_table
+from benchmarks.harness import Texts, race_table, run
 from benchmarks.scale import Silent
 from hdt_benchmark.timing import Candidate, Claim, race
 from hdt_core.calibration import exchanger as hx
@@ -67,12 +66,14 @@ def location(values: np.ndarray) -> float:
 def by_loop(path: Path, dsm: Dsm) -> np.ndarray:
     """Ln conductance ratio of each flight and pack, in order of `FLIGHT_PACK`."""
     samples = pd.read_parquet(path).dropna(subset=list(hx.SIGNALS))
-    bias = dict(zip(dsm.pack_table().select("operator", "tail", "pack").rows(), _biases(dsm), strict=True))
+    bias = dict(
+        zip(
+            dsm.pack_table().select("operator", "tail", "pack").rows(),
+            dsm.bias_of(dsm.pack_table()).T[:, :, None],
+            strict=True,
+        )
+    )
     return np.array([_of_flight(own, bias[key[:3]], dsm) for key, own in samples.groupby(FLIGHT_PACK, sort=True)])
-
-
-def _biases(dsm: Dsm) -> Iterator[np.ndarray]:
-    return iter(dsm.bias_of(dsm.pack_table()).T[:, :, None])
 
 
 def _of_flight(own: pd.DataFrame, bias: np.ndarray, dsm: Dsm) -> float:
@@ -89,7 +90,7 @@ def _of_flight(own: pd.DataFrame, bias: np.ndarray, dsm: Dsm) -> float:
     return location(values) if len(values) else np.nan
 
 
-def main(rounds: int = 5) -> list[Claim]:
+def main(rounds: int = 5) -> Texts:
     """The claim."""
     with TemporaryDirectory() as scratch:
         home = Path(scratch, "home")
@@ -103,7 +104,7 @@ def main(rounds: int = 5) -> list[Claim]:
         whole, part = Path(scratch, "whole.parquet"), Path(scratch, "part.parquet")
         cruise.write_parquet(whole)
         some.write_parquet(part)
-        return [_claim(whole, part, dsm, rounds)]
+        yield "", race_table([_claim(whole, part, dsm, rounds)], ("numpy", "polars", "pandas", "scipy"))
 
 
 def _claim(whole: Path, part: Path, dsm: Dsm, rounds: int) -> Claim:
@@ -125,4 +126,4 @@ def _flights(path: Path) -> int:
 
 
 if __name__ == "__main__":
-    print(race_table(main(), ("numpy", "polars", "pandas", "scipy")))
+    run(main)

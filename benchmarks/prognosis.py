@@ -21,10 +21,10 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from benchmarks.alerts import by_component, confusion, curves, tally, together
-from benchmarks.contestants import SETS, Learner, extrapolated, lead_at_budget, rows_of
-from benchmarks.contestants import together as pooled
 from benchmarks.fleets import Frames, flown
 from benchmarks.harness import DOCS, Texts, markdown, run
+from benchmarks.held_out import SETS, Learner, extrapolated, lead_at_budget, rows_of
+from benchmarks.held_out import together as pooled
 from hdt_core.prognosis.base import simulated_rows
 from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, Tracks, fleet_rows, tracks, tracks_as_of
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of

@@ -63,10 +63,10 @@ def static(
     return problem, honest
 
 
-def decay(rng: np.random.Generator) -> Trial:
+def decay(rng: np.random.Generator, *, noise: float = 1.0, certain: bool = True) -> Trial:
     """One exponential."""
-    truth = np.array([rng.uniform(1.0, 5.0), rng.uniform(0.2, 2.0)])
-    return static(rng, lambda p, x: p[0] * np.exp(-p[1] * x), truth, np.linspace(0.0, 4.0, 60), sigma=0.05)
+    truth, x = np.array([rng.uniform(1.0, 5.0), rng.uniform(0.2, 2.0)]), np.linspace(0.0, 4.0, 60)
+    return static(rng, lambda p, x: p[0] * np.exp(-p[1] * x), truth, x, sigma=0.05, noise=noise, certain=certain)
 
 
 def near_equal(rng: np.random.Generator) -> Trial:
@@ -127,9 +127,7 @@ def misfit(rng: np.random.Generator) -> Trial:
 
 def loud(rng: np.random.Generator) -> Trial:
     """Sigma declared three times too small."""
-    truth = np.array([rng.uniform(1.0, 5.0), rng.uniform(0.2, 2.0)])
-    x = np.linspace(0.0, 4.0, 60)
-    return static(rng, lambda p, x: p[0] * np.exp(-p[1] * x), truth, x, sigma=0.05, noise=3.0, certain=False)
+    return decay(rng, noise=3.0, certain=False)
 
 
 def holed(rng: np.random.Generator) -> Trial:

@@ -104,11 +104,7 @@ def repeated(values: list[np.ndarray]) -> float:
 
 
 def signals() -> Iterator[list[str]]:
-    yield [
-        "type",
-        "signal",
-        *(f"{what}, {whose}" for what in ("last digit", "noise", "repeated") for whose in ("real", "simulated")),
-    ]
+    yield ["type", "signal", *_of_both("last digit", "noise", "repeated")]
     for name in FILES:
         real, ours = recorded(name), simulated(name)
         for column, title in COLUMNS.items():
@@ -117,19 +113,22 @@ def signals() -> Iterator[list[str]]:
                 yield [name, title, *(_number(x) for pair in pairs for x in pair)]
 
 
+def _of_both(*measures: str) -> list[str]:
+    return [f"{what}, {whose}" for what in measures for whose in ("real", "simulated")]
+
+
 def _number(x: float) -> str:
     return "one value" if np.isnan(x) else f"{x:.2g}"
 
 
 def samples(name: str, unit: int) -> pl.DataFrame:
     """What the exchanger's component sees of a pack."""
-    kind, real = kind_of(name), recorded(name)
+    real = recorded(name)
     lengths = [len(v[min(unit, len(v) - 1)]) for v in real.values()]
     n = min(n for n in lengths if n > 1)
     at = {c: real[c][unit][:n] for c in ("hot_in_degc", "hot_out_degc", "tat_degc", "altitude_ft", "mach") if c in real}
     channels = components()["HXT"].record.channels
     frame = pl.DataFrame({c.signal: at[c.column] * c.scale + c.offset for c in channels})
-    assert kind.units
     return components()["HXT"].record.derive(frame).with_row_index("second")
 
 
@@ -158,11 +157,7 @@ def held_out() -> Iterator[list[str]]:
 
 def scatter() -> Iterator[list[str]]:
     """Effectiveness over the time compared: all of its scatter, that within minutes, and from second to second."""
-    yield [
-        "type",
-        "pack",
-        *(f"{what}, {whose}" for what in ("scatter", "within a minute", "noise") for whose in ("real", "simulated")),
-    ]
+    yield ["type", "pack", *_of_both("scatter", "within a minute", "noise")]
     for name in FILES:
         real, ours = _effectiveness(recorded(name)), _effectiveness(simulated(name))
         for unit, (a, b) in enumerate(zip(real, ours, strict=True), 1):

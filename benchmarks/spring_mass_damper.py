@@ -19,6 +19,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rcParams
+from matplotlib.figure import Figure
 from rich.progress import track
 from threadpoolctl import threadpool_limits
 
@@ -165,23 +167,20 @@ def _pair(values: np.ndarray, form: str) -> str:
 
 def figures(rows: list[Row], folder: Path) -> list[Path]:
     """Figures 8 and 9 of the paper, from the record with seed 0."""
-    import matplotlib as mpl  # noqa: PLC0415 (a benchmark without plots needs no plots)
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt  # noqa: PLC0415
-
-    mpl.rcParams["svg.hashsalt"] = "spring-mass-damper"
+    rcParams["svg.hashsalt"] = "spring-mass-damper"  # the same figures, byte for byte, every time
     problem, truth = oscillator_problem(0), true_position_m()
     t = 0.01 * np.arange(truth.size)
     folder.mkdir(parents=True, exist_ok=True)
-    figure, axes = plt.subplots(figsize=(8, 3.2), layout="constrained")
+    figure = Figure(figsize=(8, 3.2), layout="constrained")
+    axes = figure.subplots()
     axes.plot(t, problem.measured[:, 0], ".", ms=2, color="0.6", label="measured, sd 0.05 m")
     axes.plot(t, truth, color="C0", label="simulated")
     axes.set(xlabel="time [s]", ylabel="position [m]", title="Data of the spring-mass-damper (figure 8)")
     axes.legend()
     paths = [folder / "spring_mass_damper_data.svg"]
     figure.savefig(paths[0], metadata={"Date": None})
-    figure, grid = plt.subplots(2, 2, figsize=(10, 6.5), layout="constrained")
+    figure = Figure(figsize=(10, 6.5), layout="constrained")
+    grid = figure.subplots(2, 2)
     of_paper = [r for r in rows if r.name in ("ukf", "ekf", "pso", "nls", "pinn")]
     grid[0, 0].plot(t, problem.measured[:, 0], ".", ms=2, color="0.8", label="measured")
     for k, r in enumerate(of_paper):
@@ -205,7 +204,6 @@ def figures(rows: list[Row], folder: Path) -> list[Path]:
     figure.suptitle("Estimates of one record (figure 9)")
     paths.append(folder / "spring_mass_damper_estimates.svg")
     figure.savefig(paths[1], metadata={"Date": None})
-    plt.close("all")
     return paths
 
 

@@ -1,4 +1,4 @@
-"""Sensitivity and specificity of the missing-physics assistant: `python -m benchmarks.terms [seeds ...]`.
+"""Sensitivity and specificity of the missing-physics assistant: `python -m benchmarks.terms [--seeds N ...]`.
 
 Whole nights over simulated fleets, each as it is and with water sprayed at the ram inlet, which the model lacks. Where
 a term is proposed it is accepted and the night made again. Printed: what is proposed; the residual from flight to
@@ -7,7 +7,6 @@ against the truth, before and after. The fleet as it is shows what no model can 
 """
 
 import json
-import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -15,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
+from benchmarks.harness import Texts, run
 from benchmarks.scale import Silent
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.records.keys import IN_ORDER, PACK
@@ -81,21 +81,25 @@ def fleet(seed: int, missing: dict[str, float]) -> list[Outcome]:
         return [outcome, night(folder)[0]]
 
 
-def compare(seed: int) -> None:
+def compare(seed: int) -> str:
     """Compare a fleet as it is with one that has a term the model lacks."""
     floor, lacking = fleet(seed, {})[0], fleet(seed, {"water_spray": 0.2})
     before, after = lacking[0], lacking[-1]
     left = max(after.residual**2 - floor.residual**2, 0.0)
     explained = 1.0 - np.sqrt(left / (before.residual**2 - floor.residual**2))
-    print(
+    return (
         f"seed {seed}: residual held out {after.residual / before.residual - 1.0:+.0%} ({before.residual:.4f} to "
         f"{after.residual:.4f}, {floor.residual:.4f} where nothing is missing: {explained:.0%} of it explained); "
         f"bias of the loss {before.bias:+.4f} to {after.bias:+.4f} ({floor.bias:+.4f} where nothing is missing), "
-        f"error {before.error:.4f} to {after.error:.4f} ({floor.error:.4f})",
-        flush=True,
+        f"error {before.error:.4f} to {after.error:.4f} ({floor.error:.4f})"
     )
 
 
+def main(seeds: tuple[int, ...] = (1, 2, 3)) -> Texts:
+    """Fleets of these seeds."""
+    for seed in seeds:
+        yield "", compare(seed)
+
+
 if __name__ == "__main__":
-    for number in map(int, sys.argv[1:] or ["1", "2", "3"]):
-        compare(number)
+    run(main)

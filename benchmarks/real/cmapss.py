@@ -134,11 +134,11 @@ def scores(name: str, forecast: Foretold, truth: Array) -> list[Score]:
     middle, capped_middle = (expected_left(forecast.by, most) for most in (EDGES[-1], HEALTHY_CYCLES))
     errors = {"capped at 125": capped_middle - capped, "uncapped": capped_middle - truth}
 
-    def score(what: str, goal: str, each: Array, of: Callable[[Array], float] = np.mean) -> Score:
-        return scored(f"{name}: {what}", goal, engine, lambda i: float(of(each[i])))
+    def score(what: str, goal: str, each: Array | Callable[[Index], float]) -> Score:
+        return scored(f"{name}: {what}", goal, engine, each)
 
     def rmse(what: str, goal: str, error: Array) -> Score:
-        return score(f"RMSE, {what} [cycles]", goal, error, lambda e: np.sqrt((e**2).mean()))
+        return score(f"RMSE, {what} [cycles]", goal, lambda i: float(np.sqrt((error[i] ** 2).mean())))
 
     def interval(what: str, goal: str, low: Array, high: Array, left: Array) -> list[Score]:
         inside = ((low <= left) & (left <= high)).astype(float)
@@ -149,7 +149,7 @@ def scores(name: str, forecast: Foretold, truth: Array) -> list[Score]:
         rmse("lives capped at 125", f"< {PUBLISHED[name]}", errors["capped at 125"]),
         rmse("lives uncapped, forecast capped", "", errors["uncapped"]),
         rmse("lives and forecast uncapped", "", middle - truth),
-        *(score(f"PHM score, lives {how}", "", error, phm_score) for how, error in errors.items()),
+        *(score(f"PHM score, lives {how}", "", lambda i, e=e: phm_score(e[i])) for how, e in errors.items()),
         *interval("95 % interval, lives capped at 125", "", *wide, capped),
         *interval("90 % interval, lives uncapped", "0.88-0.92", forecast.low, forecast.high, truth),
     ]

@@ -209,23 +209,19 @@ def run(folder: Path) -> Result:
         each = interval_score(rows.left, prediction.low, prediction.high)
         return lambda i: float(each[i].mean() / constant_interval_score(rows.left[i]))
 
-    covered = {name: coverage(prediction, rows.left) for name, prediction in (("ours", ours), ("bare", bare))}
-    predictions = {"ours": ours, "bare": bare}
-    middle = {name: np.abs(quantile(p.by, 0.5) - rows.left) for name, p in predictions.items()}
-    scores = [
-        scored("90 % interval, coverage", "0.88-0.92", rows.life, lambda i: float(covered["ours"][i].mean())),
-        scored("interval score over a constant's", "<= 0.70", rows.life, over_constant(ours)),
-        scored("error of the middle [s]", "", rows.life, lambda i: float(middle["ours"][i].mean())),
-        scored("without physics: coverage", "", rows.life, lambda i: float(covered["bare"][i].mean())),
-        scored("without physics: interval score over a constant's", "", rows.life, over_constant(bare)),
-        scored("without physics: error of the middle [s]", "", rows.life, lambda i: float(middle["bare"][i].mean())),
-    ]
-    scores += [
-        Score(
-            f"dust kind {k + 1} left out: coverage", float(covered["ours"][rows.kind == k].mean()), np.nan, np.nan, ""
-        )
-        for k in np.unique(rows.kind)
-    ]
+    scores = []
+    for words, goals, prediction in (("", ("0.88-0.92", "<= 0.70"), ours), ("without physics: ", ("", ""), bare)):
+        middle = np.abs(quantile(prediction.by, 0.5) - rows.left)
+        interval = "" if words else "90 % interval, "
+        scores += [
+            scored(f"{words}{interval}coverage", goals[0], rows.life, coverage(prediction, rows.left)),
+            scored(f"{words}interval score over a constant's", goals[1], rows.life, over_constant(prediction)),
+            scored(f"{words}error of the middle [s]", "", rows.life, middle),
+        ]
+    covered = coverage(ours, rows.left)
+    for k in np.unique(rows.kind):
+        share = float(covered[rows.kind == k].mean())
+        scores.append(Score(f"dust kind {k + 1} left out: coverage", share, np.nan, np.nan, ""))
 
     def draw(figure: Figure) -> None:
         for k, life in enumerate(np.unique(rows.life)[:: max(1, np.unique(rows.life).size // 4)][:4]):

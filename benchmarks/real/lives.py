@@ -152,12 +152,7 @@ def of_table(file: Path) -> Score:
         followed_by = None if followed is None else followed[~is_test]
         bounds = life_bounds(life[~is_test], ended[~is_test], followed_by)
         shares.append(share_within(life[is_test], ended[is_test], bounds))
-    return scored(
-        f"{file.stem}: coverage of 90 % bounds",
-        "0.89-0.91",
-        range(SPLITS),
-        lambda i: float(np.mean(np.array(shares)[i])),
-    )
+    return scored(f"{file.stem}: coverage of 90 % bounds", "0.89-0.91", range(SPLITS), np.array(shares))
 
 
 def of_law(name: str, leave: float | None, units: int = 3000) -> Score:
@@ -169,8 +164,7 @@ def of_law(name: str, leave: float | None, units: int = 3000) -> Score:
         watched = followed if leave is None else np.minimum(followed, rng.exponential(leave, units))
         bounds = life_bounds(np.minimum(life, watched), life <= watched, followed if leave is None else None)
         shares.append(float(LAW.cdf(bounds.high) - LAW.cdf(bounds.low)))
-    chances = np.array(shares)
-    return scored(f"known law, {name}: coverage", "0.89-0.91", range(TABLES), lambda i: float(chances[i].mean()))
+    return scored(f"known law, {name}: coverage", "0.89-0.91", range(TABLES), np.array(shares))
 
 
 def of_operators() -> list[Score]:
@@ -186,21 +180,9 @@ def of_operators() -> list[Score]:
         length, end = (np.concatenate([pair[n] for pair in others]) for n in (0, 1))
         bounds = life_bounds(length, end, np.full(length.size, float(FLIGHTS)))
         shares.append(share_within(life, ended, bounds))
-    shares_by_fleet = np.array(shares)
-    return [
-        scored(
-            "simulated operators, one left out: coverage",
-            "0.89-0.91",
-            range(shares_by_fleet.size),
-            lambda i: float(shares_by_fleet[i].mean()),
-        ),
-        scored(
-            "the same, the operator held worst",
-            "",
-            range(shares_by_fleet.size),
-            lambda i: float(shares_by_fleet[i].min()),
-        ),
-    ]
+    within, fleet = np.array(shares), range(len(shares))
+    mean = scored("simulated operators, one left out: coverage", "0.89-0.91", fleet, within)
+    return [mean, scored("the same, the operator held worst", "", fleet, lambda i: float(within[i].min()))]
 
 
 def run(folder: Path) -> Result:

@@ -86,7 +86,10 @@ class Recipe:
 
 
 def scored(
-    name: str, goal: str, groups: Sequence[int] | NDArray[np.int_], metric: Callable[[NDArray[np.int_]], float]
+    name: str,
+    goal: str,
+    groups: Sequence[int] | NDArray[np.int_],
+    metric: Array | Callable[[NDArray[np.int_]], float],
 ) -> Score:
     """A metric of rows, with the 5 and 95 % points when whole groups (lives, runs) are drawn again.
 
@@ -96,15 +99,16 @@ def scored(
         As in `Score`.
     groups : sequence of int
         The group of each row: rows of one life aren't independent.
-    metric : callable
-        Of the rows with these numbers.
+    metric : array or callable
+        A value of each row, of which the mean counts; or a function of the rows with these numbers.
     """
+    of = metric if callable(metric) else lambda i: float(metric[i].mean())
     own = np.asarray(groups)
     rows = [np.flatnonzero(own == g) for g in np.unique(own)]
     rng = np.random.default_rng(0)
-    resampled = [metric(np.concatenate([rows[k] for k in rng.integers(0, len(rows), len(rows))])) for _ in range(DRAWS)]
+    resampled = [of(np.concatenate([rows[k] for k in rng.integers(0, len(rows), len(rows))])) for _ in range(DRAWS)]
     low, high = np.nanquantile(resampled, [0.05, 0.95])
-    return Score(name, metric(np.arange(own.size)), float(low), float(high), goal)
+    return Score(name, of(np.arange(own.size)), float(low), float(high), goal)
 
 
 PAGE = DOCS / "real.md"

@@ -8,6 +8,7 @@ import pytest
 from benchmarks import chain, ledger
 from benchmarks.changed_source import changed, numbers
 from benchmarks.fleets import read_record
+from benchmarks.harness import put
 from pipelines.storage.store import Store
 
 ROOMS = ("alerts", "calibration", "flight", "health", "margin", "prognosis", "records", "tracking")
@@ -94,10 +95,10 @@ def test_a_cell_that_was_not_run_again_stays_as_the_page_has_it(tmp_path, monkey
     base = dict.fromkeys(ledger.MOVES, 1.0)
     ledger._note(results, {"fleet": "A", "at": "", "factor": 1.0, "figures": base})
     ledger._note(results, {"fleet": "A", "at": first, "factor": 0.5, "figures": base | {"lead": 50.0}})
-    ledger.put("ledger", ledger.table(results), page)
+    put("ledger", ledger.table(results), page)
     ledger._note(results, {"fleet": "A", "at": second, "factor": 0.5, "figures": base | {"lead": -50.0}})
     rows = [row for row in results.read_text().splitlines(keepends=True) if first not in row]
     results.write_text("".join(rows))
-    ledger.put("ledger", ledger.table(results), page)
+    put("ledger", ledger.table(results), page)
     text = page.read_text()
     assert text.count("lead +49") == text.count("lead -51") == 1

@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 
 from benchmarks.alerts import figures_of, overall, tally
-from benchmarks.contestants import lead_at_budget
 from benchmarks.fleets import HELD_LOSS, loss_at_message, sound_seeds
+from benchmarks.held_out import lead_at_budget
 from hdt_core.simulate.design import draw_design
 
 
