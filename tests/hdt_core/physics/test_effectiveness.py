@@ -135,7 +135,7 @@ def test_inverses_come_in_bulk_missing_values_stay_missing_and_no_digit_hangs_on
     ratio = np.random.default_rng(2).uniform(0.2, 1.8, 5000)
     back = crossflow_ntu(crossflow_effectiveness(ntu, ntu * ratio), ratio)
     np.testing.assert_allclose(back, ntu, rtol=1e-9, atol=1e-12)
-    assert np.isnan(crossflow_ntu([-0.1, 1.0, 1.2, 0.7], [0.5, 0.5, 0.5, 1.5])).all()
+    assert np.isnan(crossflow_ntu([-0.1, 1.0, 1.2, 0.7, 0.5], [0.5, 0.5, 0.5, 1.5, -0.5])).all()
     assert crossflow_ntu(0.0, 0.5) == 0.0
     ntu = np.array([1.5, np.nan, 0.3])
     result = crossflow_effectiveness(ntu, 0.7 * ntu)

@@ -25,6 +25,7 @@ def test_a_schedule_is_read_between_knots_of_eight_kelvin_with_gain_and_level():
     law = ControlSchedule((0.0, 10.0), {"": (0.0, 5.0), "A": (1.0, 3.0)}, {"": 0.0, "A": 2.0}, {"": 7.0, "A/1": 8.0})
     tails, x = np.array(["A", "B", "A", "A"]), np.array([5.0, 5.0, 20.0, np.nan])
     assert law.column(tails, x, np.array([1.0, 1.0, 0.5, 0.0])).to_list() == [4.0, 2.5, 4.0, None]
+    assert law.column(tails[:2], x[:2]).to_list() == [2.0, 2.5]
     packs = pl.DataFrame({"tail": ["A", "A", "B"], "pack": [1, 2, 1]})
     assert law.level_column(packs).to_list() == [8.0, 7.0, 7.0]
     assert ControlSchedule((0.0, 1.0), {}, {}).shape("A", np.array([0.5]), 1.0).tolist() == [0.0]
@@ -129,3 +130,57 @@ def test_sixty_flights_teach_and_only_a_running_pack_in_cruise():
     without = learn_schedules(samples.with_columns(cc_speed_rad_s=pl.lit(None, pl.Float64)))
     assert without.speed == SpeedLimit()
     assert without.delivery == learn_schedules(samples).delivery
+
+
+def test_ten_samples_teach_no_schedule():
+    few = learn_schedules(fleet(1, flights=2, samples=5))
+    for law in (few.outlet, few.delivery):
+        assert (set(law.shapes[""]), law.gains) == ({0.0}, {"": 0.0})
+    assert few.speed == SpeedLimit()
+
+
+CALM = np.tile([0.01, -0.01], 500)
+"""Exit pressure about its schedule; its spread is .014826."""
+
+
+def near_the_limit(short: int, near: int, by_sd: float) -> SpeedLimit:
+    """A thousand samples at 3000 rad/s and `near` of them at 4000 or just below, `short` of which lack pressure."""
+    speed = np.concatenate([np.full(1000, 3000.0), np.linspace(3980.01, 4000.0, near)])
+    lack = np.where(np.arange(near) < short, -by_sd * 0.014826, 0.0)
+    limit, raised = (speed_limit(speed, np.concatenate([CALM, lack]) + all_over) for all_over in (0.0, 0.05))
+    assert limit == raised  # only the shortfall about the median counts
+    return limit
+
+
+def test_a_quarter_of_the_samples_and_five_lack_four_deviations_about_their_median():
+    assert near_the_limit(5, 20, 4.01).at_limit
+    assert not near_the_limit(5, 20, 3.99).at_limit
+    assert not near_the_limit(4, 12, 4.01).at_limit
+    assert not near_the_limit(5, 21, 4.01).at_limit
+    speed = np.concatenate([np.full(1000, 3000.0), [3979.9], np.full(25, 3990.0), np.full(16, 4000.0), [5000.0] * 10])
+    lack = np.concatenate([CALM, np.full(42, -0.2), np.zeros(10)])
+    assert speed_limit(speed, lack) == SpeedLimit(4000.0, at_limit=True)
+    assert speed_limit(speed, 0.0 * lack) == SpeedLimit(4000.0, at_limit=False)
+    speed, beyond = np.arange(1.0, 13.0), np.zeros(12)
+    assert speed_limit(speed, beyond) == SpeedLimit(2.0, at_limit=False)
+    assert speed_limit(speed[:11], beyond[:11]) == SpeedLimit(1.0, at_limit=False)
+    assert speed_limit(speed[:10], beyond[:10]) == SpeedLimit()
+    speed = np.concatenate([np.arange(1.0, 11.0), [0.0, np.nan, 50.0]])
+    beyond = np.concatenate([np.zeros(12), [np.nan]])
+    assert speed_limit(speed, beyond) == SpeedLimit()
+
+
+def flown(rng: np.random.Generator, limit_rad_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds held below a limit, read with their noise, and how far the pressure is beyond its schedule."""
+    needed_rad_s = 3500.0 + 330.0 * rng.standard_normal(40_000)
+    limited = np.minimum(needed_rad_s, limit_rad_s)
+    beyond = 2.0 * np.log(limited / needed_rad_s) + 0.004 * rng.standard_normal(limited.size)
+    return limited * (1.0 + 0.001 * rng.standard_normal(limited.size)), beyond
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_limit_of_a_noisy_record(seed):
+    limit = speed_limit(*flown(np.random.default_rng(seed), 4400.0))
+    assert limit.at_limit
+    assert limit.rad_s == pytest.approx(4400.0, rel=0.002)
+    assert not speed_limit(*flown(np.random.default_rng(seed), 9000.0)).at_limit
