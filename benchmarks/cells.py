@@ -34,8 +34,7 @@ from pipelines.resources import report
 from pipelines.storage.ledger import Ledger
 
 DAYS = [f"{2016 + day // 336}{day // 28 % 12 + 1:02}{day % 28 + 1:02}" for day in range(3334)]
-FLIGHTS = [f"{day}_{leg:02}" for day in DAYS for leg in (1, 2, 3)]
-FLIGHTS = FLIGHTS[:10_000]
+FLIGHTS = [f"{day}_{leg:02}" for day in DAYS for leg in (1, 2, 3)][:10_000]
 REAL_RUNS = 5
 SERVER = os.environ.get("HDT_TEST_POSTGRES", "")
 POSTGRES = """\
@@ -192,9 +191,8 @@ def measured(history: History, sizes: list[int]) -> list[dict[str, float]]:
     registered = history._timed(lambda: (add("aircraft", keys), add("flight", FLIGHTS)))
     rows = []
     for size in sizes:
-        began = history.filled, time.perf_counter()
         history.fill(size, runner)
-        row = history.row() | {"register_s": registered, "fill_s": time.perf_counter() - began[1]}
+        row = history.row() | {"register_s": registered}
         print(row, flush=True)
         rows.append(row)
     return rows

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from dagster import DagsterRun, RunsFilter
 
-from benchmarks.fingerprint import fingerprint
+from benchmarks.fault_points import fingerprint
 from benchmarks.harness import DOCS, Texts, machine, markdown, run
 from benchmarks.site import Site, restart_broker, site, wait
 from hdt_core.simulate.design import FleetSettings

@@ -58,17 +58,12 @@ def multiply(store: Store, originals: list[Aircraft], first: int, last: int) -> 
             continue
         for k, (operator, tail) in enumerate(originals):
             frame = store.read_table(table, [(operator, tail)]).filter(pl.col("tail") == tail)
-            for number in range(first, last):
-                if number % len(originals) == k:
-                    _keep(store, table, (operator, f"N{number:05}"), _renamed(frame, tail, f"N{number:05}"))
-
-
-def _keep(store: Store, table: str, aircraft: Aircraft, frame: pl.DataFrame) -> None:
-    entry = TABLES[table]
-    if entry.grain == "flight":
-        store.merge(table, {aircraft: frame["flight_id"].unique().drop_nulls()}, frame)
-    else:
-        store.replace(table, [aircraft], frame)
+            for name in (f"N{number:05}" for number in range(first, last) if number % len(originals) == k):
+                renamed = _renamed(frame, tail, name)
+                if entry.grain == "flight":
+                    store.merge(table, {(operator, name): renamed["flight_id"].unique().drop_nulls()}, renamed)
+                else:
+                    store.replace(table, [(operator, name)], renamed)
 
 
 def _multiply_fleet(store: Store, table: str, count: int, first: int, last: int) -> None:

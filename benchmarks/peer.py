@@ -66,13 +66,9 @@ def location(values: np.ndarray) -> float:
 def by_loop(path: Path, dsm: Dsm) -> np.ndarray:
     """Ln conductance ratio of each flight and pack, in order of `FLIGHT_PACK`."""
     samples = pd.read_parquet(path).dropna(subset=list(hx.SIGNALS))
-    bias = dict(
-        zip(
-            dsm.pack_table().select("operator", "tail", "pack").rows(),
-            dsm.bias_of(dsm.pack_table()).T[:, :, None],
-            strict=True,
-        )
-    )
+    packs = dsm.pack_table()
+    keys, biases = packs.select("operator", "tail", "pack").rows(), dsm.bias_of(packs).T[:, :, None]
+    bias = dict(zip(keys, biases, strict=True))
     return np.array([_of_flight(own, bias[key[:3]], dsm) for key, own in samples.groupby(FLIGHT_PACK, sort=True)])
 
 

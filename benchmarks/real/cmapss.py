@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.real.lifetimes import Array, Foretold, Index, Rows, expected_left, foretell, history_features
-from benchmarks.real.recipe import Recipe, Result, Score, scored
+from benchmarks.real.lifetimes import Foretold, Rows, expected_left, foretell, history_features
+from benchmarks.real.recipe import Array, Index, Recipe, Result, Score, scored
 from hdt_core.prognosis.hazard import EDGES
 
 SETS = ("FD001", "FD002", "FD003", "FD004")

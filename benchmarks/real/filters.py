@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from benchmarks.real.lifetimes import Array, Foretold, Index, Rows, coverage, foretell, history_features
-from benchmarks.real.recipe import Recipe, Result, Score, scored
+from benchmarks.real.lifetimes import Foretold, Rows, coverage, foretell, history_features
+from benchmarks.real.recipe import Array, Flags, Index, Recipe, Result, Score, scored
 from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.prognosis.hazard import EDGES, quantile
@@ -82,7 +81,7 @@ class Lives:
     load: Array
     """What the twin says. [-]"""
 
-    def of(self, which: NDArray[np.bool_]) -> "Lives":
+    def of(self, which: Flags) -> "Lives":
         """Some of the rows."""
         return Lives(*(getattr(self, f.name)[which] for f in fields(self)))
 
@@ -205,7 +204,7 @@ def run(folder: Path) -> Result:
     rows = lives(folder)
     ours, bare = leave_kind_out(rows)
 
-    def over_constant(prediction: Foretold) -> Callable[[NDArray[np.int_]], float]:
+    def over_constant(prediction: Foretold) -> Callable[[Index], float]:
         each = interval_score(rows.left, prediction.low, prediction.high)
         return lambda i: float(each[i].mean() / constant_interval_score(rows.left[i]))
 

@@ -7,15 +7,12 @@ health track and what its unit is asked to do.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier
 
+from benchmarks.real.recipe import Array, Flags, Index
 from hdt_core.prognosis.hazard import EDGES, SPANS, event_by, fit_hazard, hazards, quantile
 from hdt_core.prognosis.history import FEATURES, THERMAL, Panel, feature_rows, record_rows
 from hdt_core.prognosis.recalibrate import NOMINAL, Levels, learn_levels
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int_]
 
 WIDE = (0.025, 0.5, 0.975)
 """Levels of a 95 % interval, which some publish."""
@@ -33,7 +30,7 @@ class Rows:
     fold: Index
     """Rows of one fold are foretold by models that saw none of it."""
 
-    def of(self, which: NDArray[np.bool_] | Index) -> "Rows":
+    def of(self, which: Flags | Index) -> "Rows":
         """Some of the rows."""
         return Rows(self.x[which], self.left[which], self.unit[which], self.fold[which])
 

@@ -23,11 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 import polars as pl
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import CensoredData, ecdf, weibull_min
 
-from benchmarks.real.recipe import Recipe, Result, Score, scored
-from benchmarks.real.skab import Array, Flags
+from benchmarks.real.recipe import Array, Flags, Recipe, Result, Score, scored
 from hdt_core.prognosis.base import draw_fleets
 
 LEVEL = 0.9
@@ -80,7 +79,7 @@ def life_bounds(length: ArrayLike, ended: ArrayLike, followed: ArrayLike | None 
     return _exact(life, end, watched)
 
 
-def _exact(life: Array, end: NDArray[np.bool_], watched: Array) -> LifeBounds:
+def _exact(life: Array, end: Flags, watched: Array) -> LifeBounds:
     """Order statistics of units that could have been watched for `cut` or longer, chosen without a look at their lives.
 
     A tenth of them says whether enough lives end by then for an upper end; the others give the bounds, so that the
@@ -100,7 +99,7 @@ def _exact(life: Array, end: NDArray[np.bool_], watched: Array) -> LifeBounds:
     return LifeBounds(low, float(sample[last - 1]) if last <= n else np.inf)
 
 
-def _weighed(life: Array, end: NDArray[np.bool_]) -> LifeBounds:
+def _weighed(life: Array, end: Flags) -> LifeBounds:
     """Weighed order statistics of the lives that ended; weights from the other half's censoring (Kaplan and Meier)."""
     if not end.any():
         raise ValueError("no life ended: nothing bounds them")

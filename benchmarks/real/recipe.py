@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from benchmarks.harness import DOCS, markdown
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int_]
+Flags = NDArray[np.bool_]
 DRAWS = 1000
 
 
@@ -88,8 +90,8 @@ class Recipe:
 def scored(
     name: str,
     goal: str,
-    groups: Sequence[int] | NDArray[np.int_],
-    metric: Array | Callable[[NDArray[np.int_]], float],
+    groups: Sequence[int] | Index,
+    metric: Array | Callable[[Index], float],
 ) -> Score:
     """A metric of rows, with the 5 and 95 % points when whole groups (lives, runs) are drawn again.
 

@@ -13,17 +13,11 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from sklearn.covariance import LedoitWolf
 
-from benchmarks.real.recipe import Recipe, Result, scored
+from benchmarks.real.recipe import Array, Flags, Recipe, Result, scored
 from hdt_core.health.detection import Cusum, watch
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-
-LONG = 10**6
-"""Rows; the offset learned on normal rows is kept."""
 LEARN_SHARE, BLOCKS = 0.5, (10, 30, 60)
 """Of the normal rows the first teach what a sensor should say, the others how far its residual wanders in blocks."""
 STILL = 1e-9
@@ -51,21 +45,21 @@ def learn(rows: Array) -> Normal:
     mean, spread = np.nanmean(rows, axis=0), np.nanstd(rows, axis=0)
     spread = np.where(spread > STILL, spread, np.inf)
     z = np.nan_to_num((rows - mean) / spread)
-    return Normal(mean, spread, LedoitWolf().fit(z + 1e-6 * _jitter(z.shape)).precision_)
+    jitter = np.random.default_rng(0).standard_normal(z.shape)  # a sensor that stands still has a variance
+    return Normal(mean, spread, LedoitWolf().fit(z + 1e-6 * jitter).precision_)
 
 
-def alarms(train: Array, test: Array, settings: Cusum | None = None) -> Flags:
+def alarms(train: Array, test: Array) -> Flags:
     """Return the rows of `test` on which a sensor shift is detected.
 
     The detector learns offset and scatter on the last `TAIL` rows of `train`.
     """
-    settings = settings or Cusum(memory_flights=LONG)
     split = int(LEARN_SHARE * len(train))
     normal = learn(train[:split])
     scale = wander(normal.residuals(train[split:]))
     z = np.concatenate([normal.residuals(train[-TAIL:]), normal.residuals(test)])[None] / scale
     prior = np.ones(z.shape[2])
-    watch_result = watch(z, prior, np.zeros(z.shape, dtype=bool), settings)
+    watch_result = watch(z, prior, np.zeros(z.shape, dtype=bool), Cusum())
     return np.asarray(watch_result.alarm[0, -len(test) :].any(axis=1)) if len(test) else np.zeros(0, dtype=bool)
 
 
@@ -79,11 +73,6 @@ def wander(residuals: Array) -> Array:
         blocks = np.nan_to_num(residuals[: len(residuals) // rows * rows]).reshape(-1, rows, residuals.shape[1])
         scatter = np.fmax(scatter, np.sqrt(rows * (blocks.mean(axis=1) ** 2).mean(axis=0)))
     return scatter
-
-
-def _jitter(shape: tuple[int, ...]) -> Array:
-    """So that a sensor that stands still has a variance at all."""
-    return np.random.default_rng(0).standard_normal(shape)
 
 
 LEARN_ROWS = 400
@@ -109,7 +98,7 @@ def run(folder: Path) -> Result:
         sensors, wrong = read(file)
         rows = sensors.to_numpy()
         truth.append(wrong[LEARN_ROWS:])
-        called_rows.append(alarms(rows[:LEARN_ROWS], rows[LEARN_ROWS:], Cusum()))
+        called_rows.append(alarms(rows[:LEARN_ROWS], rows[LEARN_ROWS:]))
         group.append(np.full(wrong.size - LEARN_ROWS, number))
     y, called, own = (np.concatenate(v) for v in (truth, called_rows, group))
 

@@ -16,7 +16,7 @@ from nights import keep_base
 from soundness import faults
 from zones import drop_fleet, simulated
 
-from benchmarks.fingerprint import fingerprint
+from benchmarks.fault_points import fingerprint
 from pipelines.storage.store import Store
 
 

@@ -18,7 +18,7 @@ import pytest
 from soundness import KEYS
 from zones import drop_fleet, simulated
 
-from benchmarks.fingerprint import fingerprint
+from benchmarks.fault_points import fingerprint
 from pipelines.cli.doctor import examine
 from pipelines.repair import replace_damaged_history
 from pipelines.storage import seal

@@ -15,7 +15,7 @@ from soundness import faults
 from sqlalchemy.exc import OperationalError
 
 from benchmarks import fault_points
-from benchmarks.fingerprint import fingerprint
+from benchmarks.fault_points import fingerprint
 from pipelines.orchestration import nightly
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage import files

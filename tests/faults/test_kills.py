@@ -15,8 +15,7 @@ import duckdb
 import pytest
 from soundness import faults
 
-from benchmarks.fault_points import POINTS
-from benchmarks.fingerprint import fingerprint
+from benchmarks.fault_points import POINTS, fingerprint
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.catalog import connect
 

@@ -13,7 +13,7 @@ import pytest
 from command import hdt
 from typer.testing import CliRunner
 
-from benchmarks.fingerprint import fingerprint
+from benchmarks.fault_points import fingerprint
 from benchmarks.fleets import fly
 from hdt_core.simulate.design import FleetSettings
 from pipelines.cli import load_extensions

@@ -13,7 +13,7 @@ import pytest
 from databases import SERVER, new_database
 from nights import Silent, stages_of, unfolded
 
-from benchmarks.fingerprint import fingerprint
+from benchmarks.fault_points import fingerprint
 from hdt_core.simulate.design import FleetSettings
 from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration import around_night, batches, local_executor, nightly

@@ -13,8 +13,7 @@ import pytest
 from nights import run
 from soundness import faults
 
-from benchmarks.fault_points import OF_OBJECTS
-from benchmarks.fingerprint import fingerprint
+from benchmarks.fault_points import OF_OBJECTS, fingerprint
 from pipelines.report.page import write_report
 from pipelines.sharing import access_scope, export
 from pipelines.storage.catalog import connect

@@ -12,7 +12,7 @@ from soundness import faults
 from zones import drop_fleet, simulated
 
 import pipelines.assets.twin as twin_assets
-from benchmarks.fingerprint import fingerprint
+from benchmarks.fault_points import fingerprint
 from pipelines.cli.doctor import examine
 from pipelines.report.page import write_report
 from pipelines.storage.catalog import connect
