@@ -302,14 +302,13 @@ def table(fleets: pl.DataFrame) -> str:
     return f"{note} any.\n\n{markdown([('measure', 'goal', 'measured'), *rows])}"
 
 
-def main(fleets: int = 40, first: int = 101, workers: int = 2, no_speed: bool = False) -> Texts:
+def main(fleets: int = 40, first: int = 101, workers: int = 2) -> Texts:
     """Fleets of seeds from `first` on."""
     with ProcessPoolExecutor(workers) as pool:
         rows = list(pool.map(one_fleet, range(first, first + fleets)))
     yield "bars", table(pl.DataFrame(rows))
     yield "recursion", recursion()
-    if not no_speed:
-        yield "speed", speed()
+    yield "speed", speed()
 
 
 if __name__ == "__main__":

@@ -296,10 +296,9 @@ def table(tallies: Sequence[Tally], n: int, *, statuses: bool) -> str:
     return f"{markdown(lines)}\n\nExceptions: {sum(len(t.raised) for t in tallies)}."
 
 
-def report(problems: int = 140, seed: int = 0, only: tuple[str, ...] = (), no_polish: bool = False) -> Texts:
-    """The table, of some methods by name, or of all without least squares at their end."""
-    chosen = [e for e in estimators().values() if not only or e.name in only]
-    result = main(problems, [unpolished(e) for e in chosen] if no_polish else chosen, seed)
+def report(problems: int = 140, seed: int = 0, no_polish: bool = False) -> Texts:
+    """The table, of the methods as they are or without least squares at their end."""
+    result = main(problems, [unpolished(e) if no_polish else e for e in estimators().values()], seed)
     for tally in result:
         print(tally.name, *tally.broken, *tally.raised, sep="\n  ")
     yield "methods alone" if no_polish else "promise of converged", table(result, problems, statuses=not no_polish)
