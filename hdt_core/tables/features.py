@@ -1,6 +1,6 @@
 """Tables of stage features: features and alerts."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, cast
 
 import dataframely as dy
@@ -202,17 +202,19 @@ def _of_life() -> Iterator[tuple[str, Declared]]:
     yield "usage_hours", (dy.Float64, "h", "flight_hours so far")
 
 
-def _table(name: str, doc: str, declared: Iterable[tuple[str, Declared]]) -> type[Table]:
+def _table(name: str, doc: str, declared: Sequence[tuple[str, Declared]]) -> type[Table]:
     """Build a table of features without limits, for an odd ratio must not stop a night; the catalog checks it."""
     free: dict[str, Any] = {"allow_inf": True, "allow_nan": True}
     columns = {
         feature: column(dtype, meaning, unit, nullable=True, **(free if dtype is dy.Float64 else {}))
-        for feature, (dtype, unit, meaning) in list(declared)
+        for feature, (dtype, unit, meaning) in declared
     }
     return cast("type[Table]", type(name, (DatedLegTable,), {"__doc__": doc} | columns))
 
 
-Features = _table("Features", "Features of a pack after a flight, one column a feature: flight, pack.", _columns())
+Features = _table(
+    "Features", "Features of a pack after a flight, one column a feature: flight, pack.", tuple(_columns())
+)
 FeaturesCrossChecks = _table(
     "FeaturesCrossChecks",
     "Cross checks of a pack in a flight, by its own sensors, door and controllers: flight, pack.",

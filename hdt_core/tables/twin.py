@@ -16,7 +16,7 @@ from hdt_core.tables.base import (
     number,
     pack_key,
     text,
-)  # fmt: skip  # fmt: skip
+)  # fmt: skip
 
 
 class CalibrationDsm(Table):

@@ -41,12 +41,11 @@ def _source_key(source: str) -> dg.AssetKey:
 _GROUP = group_of("published")
 _HEADERS = view_headers()
 _UPSTREAM = {view: [_source_key(source) for source in header.sources] for view, header in _HEADERS.items()}
-_CONDITIONS = {view: any_parent_newer(keys) for view, keys in _UPSTREAM.items()}
 VIEWS = [
     dg.AssetSpec(
         view_key(view),
         deps=_UPSTREAM[view],
-        automation_condition=_CONDITIONS[view],
+        automation_condition=any_parent_newer(_UPSTREAM[view]),
         description=f"{header.question}\n\n{header.notes}",
         **_GROUP,
         kinds={"duckdb", "view"},

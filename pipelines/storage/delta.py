@@ -115,17 +115,14 @@ class Deltas:
         """Return the table's newest or another version; None where there is none."""
         if number is not None:
             return _OpenTable.of(self.open(table, number), None).version
-        (current,) = self._take(table)
+        current = self._take(table)
         self._put_back(table, current)
         return current.version
 
-    def _take(self, *tables: str) -> list[_OpenTable]:
-        """Take current tables out of the cache, for one writer alone: a commit advances them under their readers."""
-        current = []
-        for table in tables:
-            entry, newest = _open_tables(self.place.url).pop(table, None), self._newest_commit(table)
-            current.append(entry if entry and entry.commit == newest else _OpenTable.of(self.open(table), newest))
-        return current
+    def _take(self, table: str) -> _OpenTable:
+        """Take the current table out of the cache, for one writer alone: a commit advances it under its readers."""
+        entry, newest = _open_tables(self.place.url).pop(table, None), self._newest_commit(table)
+        return entry if entry and entry.commit == newest else _OpenTable.of(self.open(table), newest)
 
     def _newest_commit(self, table: str) -> Commit | None:
         """Find the newest commit of a table's log; None where there is none, or it would take as long as opening it."""
@@ -168,7 +165,7 @@ class Deltas:
     def change(self, table: str, change: Change) -> Version | None:
         """Write shards of a table in one commit, all or none; the version that holds them."""
         while True:
-            (current,) = self._take(table)
+            current = self._take(table)
             content = self._write(table, change(_ShardReader(self, table, current.shards)), current.shards)
             if content.added or content.removed:
                 log = current.log
@@ -182,17 +179,6 @@ class Deltas:
     def write(self, table: str, shards: Mapping[str, pl.DataFrame]) -> Version | None:
         """Write some shards of a table whole, in one commit."""
         return self.change(table, lambda _: shards.items())
-
-    def write_to_each(self, shard: str, frames: Mapping[str, pl.DataFrame]) -> dict[str, Version]:
-        """Write one shard of several tables where it is not stored as it is; the newest version of each."""
-        files, versions = [pack(shard, frame).name for frame in frames.values()], dict[str, Version]()
-        for table, file, current in zip(frames, files, self._take(*frames), strict=True):
-            self._put_back(table, current)
-            is_stored = current.shards.get(shard) == file
-            version = current.version if is_stored else self.write(table, {shard: frames[table]})
-            assert version is not None
-            versions[table] = version
-        return versions
 
     def remove_files(self, table: str, files: Iterable[str]) -> None:
         """Remove damaged files from the table."""

@@ -113,14 +113,16 @@ class Store:
 
         self.tables.change(table, with_unique_keys)
 
-    def declare(self, tables: Iterable[str]) -> dict[str, Version]:
-        """Give tables their columns even while nothing is stored; the newest version of each."""
-        return self.tables.write_to_each(EMPTY, {table: TABLES[table].schema.create_empty() for table in tables})
+    def declare(self, table: str) -> Version:
+        """Give the table its columns even while nothing is stored; its newest version."""
+        version = self.tables.write(table, {EMPTY: TABLES[table].schema.create_empty()})  # no commit if nothing changes
+        assert version is not None
+        return version
 
     def snapshot(self, versions: Mapping[str, int] | None = None) -> dict[str, tuple[int, list[str]]]:
         """List each table's version and its files; the newest, or some tables at other versions."""
         if versions is None:
-            tables = self.declare(TABLES)
+            tables = {t: self.declare(t) for t in TABLES}
         else:
             tables = {t: v for t in TABLES if t in versions and (v := self.tables.version(t, versions[t]))}
         return {t: (v.number, sorted(f"{t}/{f}" for f in v.shards.values())) for t, v in tables.items()}

@@ -91,8 +91,8 @@ def test_a_table_that_is_not_there_yet_reads_as_empty_and_the_fleets_has_one_sha
     frame = store.read_table("prognoses")
     assert frame.is_empty()
     assert frame.columns == list(TABLES["prognoses"].schema.columns())
-    store.declare(["prognoses"])
-    store.declare(["prognoses"])
+    store.declare("prognoses")
+    store.declare("prognoses")
     assert len(store.tables.shards("prognoses")) == 1
     assert store.read_table("prognoses").equals(frame)
     for version in ("1", "2"):
@@ -169,12 +169,12 @@ def test_every_table_opens_with_polars_pyarrow_and_duckdb_as_it_is_declared(samp
 def test_a_table_is_opened_once_whoever_asks_and_again_after_anothers_commit(tmp_path, monkeypatch):
     """A log of years takes a while to read; another process may have written meanwhile."""
     opened, open_ = [], Deltas.open
-    Store(tmp_path).declare(["raw_flights"])
+    Store(tmp_path).declare("raw_flights")
     monkeypatch.setattr(Deltas, "open", lambda *arguments: opened.append(arguments) or open_(*arguments))
     for n in (1, 2):
         merge(Store(tmp_path), [MAY, JUNE], n)
         assert stored_rows(Store(tmp_path)) == [(MAY, n), (JUNE, n)]
-        assert Store(tmp_path).declare(["raw_flights"])["raw_flights"].number == n
+        assert Store(tmp_path).declare("raw_flights").number == n
     assert opened == []
     elsewhere = shutil.copytree(tmp_path / "tables", tmp_path / "other" / "tables").parent
     merge(Store(elsewhere), [MAY], 3)
