@@ -149,8 +149,12 @@ def _with_version(cells: pl.DataFrame, code: str) -> pl.DataFrame:
 
 
 def baseline_cells(ledger: Ledger) -> pl.DataFrame:
-    """Return the commissioning window: operator, tail, flight_id, version. A flight id sorts by day and leg."""
-    cells = ledger.cells("legs_samples")
+    """Return the commissioning window: operator, tail, flight_id, version. A flight id sorts by day and leg.
+
+    A flight of which nothing is stored, such as one whose rows were all refused, takes no place in it.
+    """
+    with_rows = Store(ledger.home).scan("legs_verdicts").select(CELL).unique().collect()
+    cells = ledger.cells("legs_samples").join(with_rows, on=CELL, how="semi")
     flights = baseline_flights(cells.with_columns(departed_at=pl.col("flight_id").str.slice(-11)))
     return cells.filter(pl.col("flight_id").is_in(flights))
 

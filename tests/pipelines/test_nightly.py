@@ -69,6 +69,16 @@ def test_one_new_flight_makes_that_flight_and_no_other(own_home):
     assert not made_since(home, "calibration_dsm", before), "a flight after commissioning recalibrates no model"
 
 
+def test_refused_file_changes_no_model(own_home):
+    landing, home = own_home
+    (landing / "AQX/LX-AAB/acms/LX-AAB_20230105_01.csv").write_text("no report of a flight\n")
+    before = last_time(home)
+
+    run(landing, home)
+
+    assert not made_since(home, "calibration_dsm", before)
+
+
 def test_late_twice_and_out_of_order_ends_as_a_clean_delivery(sample_landing, sample_home, tmp_path):
     """Three nights: first the newest files, then some of them again and the logs, at last the old history."""
     landing, home = tmp_path / "landing", tmp_path / "home"

@@ -21,9 +21,18 @@ def deliver(ledger: Ledger, aircraft, name: str, flights: list[str], digest: str
     ledger.register([(path, *aircraft, kind, 1, 1, digest)], {path: flights})
 
 
-def make(ledger: Ledger, *tables: str) -> None:
+def make(ledger: Ledger, *tables: str, without_rows: str = "") -> None:
     for table in tables:
         ledger.mark(table, expected_versions(ledger, table))
+        if table == "legs_samples":
+            store_verdicts(ledger, without_rows)
+
+
+def store_verdicts(ledger: Ledger, without_rows: str) -> None:
+    """Store a row for each flight but the one without rows."""
+    for aircraft, cells in ledger.cells("legs_samples").group_by("operator", "tail"):
+        rows = cells.filter(pl.col("flight_id") != without_rows).select(*CELL[:3], pack=1)
+        Store(ledger.home).merge("legs_verdicts", {aircraft: cells["flight_id"]}, TABLES["legs_verdicts"].conform(rows))
 
 
 @pytest.fixture
@@ -80,6 +89,16 @@ def test_a_flight_after_commissioning_leaves_the_model_alone(tmp_path):
     make(ledger, "raw_flights", "legs_samples")
     assert stale_cells_of(ledger, ["calibration_dsm"]).is_empty()
     assert flights(stale_cells_of(ledger, ["twin_flights"])) == {ids[165]}
+
+
+def test_a_flight_without_rows_changes_no_model(ledger):
+    before = expected_versions(ledger, "calibration_dsm")
+    refused = "LX-AAB_20230105_01"
+    deliver(ledger, B, f"{refused}.csv", [refused], "refused")
+
+    make(ledger, "raw_flights", "legs_samples", without_rows=refused)
+
+    assert expected_versions(ledger, "calibration_dsm").equals(before)
 
 
 def test_the_baseline_counts_the_records_of_its_own_window_and_no_others(tmp_path):
