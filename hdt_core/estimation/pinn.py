@@ -95,7 +95,8 @@ class PhysicsInformedNet:
             vector, normal, steps = _train(problem, vector, layout, rho, max_steps=self.max_steps)
             n_evals += steps * (1 + 2 * (layout.size.size + n))
         average = _average(vector[-n_terms - n :], _cov_of_last(normal, n_terms + n), n_terms)
-        mean, cov = average.mean, average.cov
+        mean = np.clip(average.mean, *problem.bounds.T)  # an average of models may leave the declared bounds
+        cov = average.cov
         if steps == self.max_steps:
             return conclude(problem, mean, "max_steps", n_evals, own_objective=True, cov=cov, method=self.name)
         if average.chance_complete >= 1.0 - DOUBT:

@@ -97,6 +97,19 @@ def test_keeps_its_bounds_and_says_so_and_a_held_parameter_stays(estimator):
 
 
 @EVERY
+@pytest.mark.parametrize("upper", [0.9, 0.89])
+def test_estimate_stays_within_its_bounds(estimator, upper):
+    wide = lag(pole=0.9)
+    bounds = wide.bounds.copy()
+    bounds[1, 1] = upper
+    plain = replace(estimator, polish=False) if hasattr(estimator, "polish") else estimator
+
+    mean = plain.estimate(replace(wide, bounds=bounds)).belief.mean
+
+    assert mean[1] <= upper
+
+
+@EVERY
 def test_missing_values_are_no_values_and_without_data_the_belief_is_the_prior(estimator):
     whole = decay()
     holed = whole.measured.copy()
