@@ -14,6 +14,7 @@ from scipy.optimize import differential_evolution
 from hdt_core.estimation.conclude import conclude, settle
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Problem
+from hdt_core.loading import UserError
 
 NO_ANSWER = 1e150  # fitness of an individual the model has no answer for
 Mask = npt.NDArray[np.bool_]
@@ -97,8 +98,7 @@ CROWDING = 15.0  # of crossover and mutation: larger keeps children closer to th
 class Genetic:
     """Tournaments choose parents, simulated binary crossover and polynomial mutation make children, the best one stays.
 
-    With `polish`, the default, least squares from the fittest. Without DEAP this is differential evolution, as the
-    name meant before there was a genetic algorithm here; `Estimate.method` says which it was.
+    With `polish`, the default, least squares from the fittest.
 
     Parameters
     ----------
@@ -111,6 +111,11 @@ class Genetic:
         Probability of a pair, and of an individual.
     polish : bool
     seed : int
+
+    Raises
+    ------
+    UserError
+        From `estimate`, where DEAP is not installed.
 
     References
     ----------
@@ -130,11 +135,7 @@ class Genetic:
     def estimate(self, problem: Problem) -> Estimate:
         """Return the fittest individual; covariance from the information at that point."""
         if find_spec("deap") is None:
-            method = f"{self.name}: differential evolution, DEAP is not installed"
-            fallback = DifferentialEvolution(
-                method, self.population, self.max_generations, self.agreement, self.polish, self.seed
-            )
-            return fallback.estimate(problem)
+            raise UserError("genetic needs DEAP: pip install 'hybrid-digital-twin-extensions[genetic]'")
         return evolve(problem, self._search, self.name, polish=self.polish)
 
     def _search(self, problem: Problem, free: Mask, lower: Array, upper: Array) -> Fittest:
