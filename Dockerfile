@@ -7,6 +7,7 @@ SHELL ["/bin/bash", "-o", "pipefail", "-c"]
 RUN python -m venv /venv && grep -oE '^uv==[^ ;]+' requirements.lock | xargs /venv/bin/pip install --no-cache-dir
 COPY hdt_core hdt_core
 COPY pipelines pipelines
+COPY docs docs
 COPY dagster_batched dagster_batched
 COPY sql sql
 COPY extensions extensions

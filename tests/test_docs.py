@@ -88,6 +88,15 @@ def test_the_tutorials_python_runs(sample_home, monkeypatch):
     assert namespace["frame"].height > 0
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_named_files_exist(page):
+    paths = re.findall(r"`([\w.-]+/[\w./-]+\.(?:py|sql))`", page.read_text(encoding="utf-8"))
+
+    missing = [p for p in paths if "NAME" not in p and not any((ROOT / room / p).exists() for room in (".", "hdt_core"))]
+
+    assert missing == []
+
+
 def site(target: Path) -> Path:
     """The site that `make check` has built, where nothing it is made of has changed since; else one in `target`."""
     built = ROOT / ".site/sitemap.xml"

@@ -22,6 +22,7 @@ COMMANDS = {  # by name: to load them takes three seconds
     "dagster-daemon": "dagster._daemon.cli:create_dagster_daemon_cli",
     "dagster": "dagster._cli:create_dagster_cli",
 }
+PACKAGES = ("hdt_core", "pipelines", "dagster_batched", "sql", "extensions")
 ARGUMENTS = {
     "webserver": {"listen": "0.0.0.0", "read_only": False},
     "daemon": {"module_name": ("pipelines.definitions",)},
@@ -102,6 +103,16 @@ def test_what_a_cluster_is_given_fits_together():
     alike = ("event_log_storage", "run_storage", "schedule_storage", "run_coordinator", "run_monitoring", "run_retries")
     assert {k: ours[k] for k in alike} == {k: celery[k] for k in alike}
     assert ours["run_launcher"]["class"] == "K8sRunLauncher"
+
+
+def test_linked_folders_are_in_the_image():
+    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    links = [f for package in PACKAGES for f in (ROOT / package).rglob("*") if f.is_symlink()]
+
+    targets = {f.resolve().relative_to(ROOT).parts[0] for f in links}
+
+    assert targets == {"docs"}
+    assert targets <= let_in
 
 
 def test_the_image_copies_and_brings_what_its_commands_need():
