@@ -21,6 +21,8 @@ from pipelines.storage.catalog import connect
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+ROOMS = (".", "hdt_core", "tests/hdt_core")
+"""Folders from which pages name files."""
 MODULES = [
     m.name
     for m in pkgutil.walk_packages(hdt_core.__path__, "hdt_core.")
@@ -92,7 +94,7 @@ def test_the_tutorials_python_runs(sample_home, monkeypatch):
 def test_named_files_exist(page):
     paths = re.findall(r"`([\w.-]+/[\w./-]+\.(?:py|sql))`", page.read_text(encoding="utf-8"))
 
-    missing = [p for p in paths if "NAME" not in p and not any((ROOT / room / p).exists() for room in (".", "hdt_core"))]
+    missing = [p for p in paths if "NAME" not in p and not any((ROOT / room / p).exists() for room in ROOMS)]
 
     assert missing == []
 
