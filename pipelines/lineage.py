@@ -125,18 +125,20 @@ STAGES = (
     Stage("raw_fleet", "raw", {
         **dict.fromkeys(
             ("raw_fleet", "raw_files_deliveries", "raw_files_quarantine"),
-            Recipe(files=("fleet", "rejected", "refused", "checks", "costs")),
+            Recipe(files=("fleet", "rejected", "refused", "checks", "costs"), code="2"),
         ),
         "raw_coverage": Recipe(files=("fleet", "type"), code=DECLARED),
         "raw_checks": Recipe(files=("checks",)),
         "raw_costs": Recipe(files=("costs",), code=DECLARED),
     }, label="fleet list and refused files"),
     Stage("raw_records", "raw", {
-        "raw_messages": Recipe(files=("messages",), code="3"),
-        "raw_maintenance": Recipe(files=("maintenance", "findings"), code="5"),
+        "raw_messages": Recipe(files=("messages",), code="4"),
+        **dict.fromkeys(
+            ("raw_maintenance", "raw_maintenance_not_done"), Recipe(files=("maintenance", "findings"), code="6")
+        ),
         "raw_cases": Recipe(files=("cases",)),
         "raw_reports": Recipe(files=("reports",)),
-        **dict.fromkeys(("raw_records_deliveries", "raw_records_quarantine"), Recipe(files=RECORD_FILES, code="3")),
+        **dict.fromkeys(("raw_records_deliveries", "raw_records_quarantine"), Recipe(files=RECORD_FILES, code="4")),
     }, untracked=("raw_fleet",), label="messages and maintenance"),
     declare_stage(
         "raw", "raw", "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights",

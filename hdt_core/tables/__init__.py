@@ -72,6 +72,9 @@ TABLES: dict[str, StoredTable] = {
     "raw_reports": StoredTable(raw.RawReports, "aircraft", ("reported_at", "report", "file")),
     "raw_messages": StoredTable(raw.RawMessages, "aircraft", ("message_time", "code", "flight_id", "pack")),
     "raw_maintenance": StoredTable(raw.RawMaintenance, "aircraft", ("done_on", "pack", "component", "reference")),
+    "raw_maintenance_not_done": StoredTable(
+        raw.RawMaintenanceNotDone, "aircraft", ("done_on", "pack", "component", "reference")
+    ),
     "raw_checks": StoredTable(raw.RawChecks, "fleet", ("operator", "tail", "planned_on", "name")),
     "raw_costs": StoredTable(raw.RawCosts, "fleet", ("component", "item")),
     "raw_cases": StoredTable(raw.RawCases, "aircraft", ("line",)),

@@ -161,8 +161,13 @@ class RawMaintenance(AircraftRows):
     counts_from = moment("flights that depart from then on count as flown after the work: `done_at`, or the day's end")
     serial_off = text("serial number of the unit that came off, where the log gives it")
     serial_on = text("serial number of the unit that went on, where the log gives it")
+    status = text("COMPLETED, CLOSED, DONE or nothing, as the log gives it; raw_maintenance_not_done has any other")
     source = text("log: the maintenance log; case: an engineer who closed an alert")
     closes_alert_id = text("alert that an engineer closed with this finding")
+
+
+class RawMaintenanceNotDone(RawMaintenance):
+    """One piece of work on the log that was not done, by its status: planned, deferred, open or cancelled."""
 
 
 class RawChecks(AircraftTable):

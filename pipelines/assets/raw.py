@@ -16,7 +16,7 @@ from pipelines.intake.findings import NAME as COSTS_FILE
 from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
 from pipelines.intake.landing import WITHOUT_FLIGHT, list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile
-from pipelines.intake.logs import or_stored, read_checks, read_fleet, read_maintenance, read_messages
+from pipelines.intake.logs import is_done, or_stored, read_checks, read_fleet, read_maintenance, read_messages
 from pipelines.intake.readers import REPORTS, TYPES, readers
 from pipelines.intake.snapshots import read_snapshots
 from pipelines.lineage import LINEAGE, STAGE
@@ -59,7 +59,10 @@ def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     """Read messages, maintenance entries, the case log and heads of printed reports."""
     listing = home.ledger.of(scope.aircraft or {}).files([*RECORDS, REPORTS])
     stored = {table: scope.read_table(home.store, table) for table in STAGE["raw_records"].tables}
-    stored["raw_maintenance"] = stored["raw_maintenance"].filter(pl.col("source") != CASE)  # the case log has findings
+    stored["raw_maintenance"] = pl.concat(
+        # the case log has findings
+        [stored["raw_maintenance"].filter(pl.col("source") != CASE), stored["raw_maintenance_not_done"]]
+    )
     landing = Path(home.landing)
     logs = [*_logs(listing, stored, landing), *_printed(listing, stored["raw_reports"], landing)]
     of_kind = {kind: [(f, x) for f, x in logs if f.kind == kind] for kind in (*RECORDS, REPORTS)}
@@ -73,7 +76,8 @@ def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
     deliveries = [with_aircraft(f, account(f, x)) for f, x in logs]
     return (
         messages,
-        date_entries(with_findings(maintenance, cases)),
+        date_entries(with_findings(maintenance.filter(is_done()), cases)),
+        date_entries(maintenance.filter(~is_done())),
         cases,
         with_stored("raw_reports", [x.rows for _, x in of_kind[REPORTS]]),
         with_stored("raw_records_deliveries", deliveries).with_columns(_ROW_COUNTS),

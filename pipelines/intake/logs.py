@@ -92,8 +92,9 @@ def _words(
 
 
 def printable(field: str | None) -> str:
-    """Strip a field of non-printable characters and cut it at 500."""
-    return "".join(c for c in (field or "").strip() if c.isprintable())[:500]
+    """Strip a field of non-printable characters, with a space for each line break, and cut it at 500."""
+    line = " ".join((field or "").split("\n"))
+    return "".join(c for c in line.strip() if c.isprintable())[:500]
 
 
 def _row_fault(fault: Fault, row: int, text: Text) -> Fault:
@@ -143,10 +144,10 @@ def _validate_aircraft(words: Words, _: datetime | None) -> Row | Fault:
     day = to_day(words["delivered_on"])
     if words["delivered_on"] and day is None:
         return Fault("unreadable_time", column_name="delivered_on")
-    packs = words["packs"] or str(PACKS)
-    if packs not in {str(n) for n in range(1, MAX_PACKS + 1)}:
+    packs = _number_up_to(MAX_PACKS, words["packs"] or str(PACKS))
+    if packs == 0:
         return Fault("bad_pack", column_name="packs")
-    return (words["operator"], words["tail"], words["msn"] or None, day, int(packs), words["type"] or None)
+    return (words["operator"], words["tail"], words["msn"] or None, day, packs, words["type"] or None)
 
 
 def fleet_lines(landing: Path) -> FleetLines:
@@ -166,6 +167,9 @@ def _lines(path: Path, _changed_ns: int) -> FleetLines:
 
 COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")
 SERIALS = ("serial_off", "serial_on")
+STATUS = "status"
+DONE = ("", "COMPLETED", "CLOSED", "DONE")
+"""Statuses of a line of the maintenance log whose work was done; any other is of work that is planned or cancelled."""
 FARTHEST = timedelta(days=3660)
 
 
@@ -173,7 +177,7 @@ def read_messages(file: LandingFile, now: datetime) -> FileIntake:
     """Read maintenance messages of one aircraft: the columns of `raw_messages`."""
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
-        pack = _pack_number(words["pack"], file.packs)
+        pack = _number_up_to(file.packs, words["pack"])
         if fault := time_fault(moment, now, "message_time") or _flight_fault(words["flight_id"], file.tail):
             return fault
         if pack == 0:
@@ -193,13 +197,15 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     """Read the work done on one aircraft: the columns of `raw_maintenance`.
 
     `done_on` may give a day or a time of day; `done_at` keeps the time. Work before the first stored flight counts as
-    any other; work before the aircraft's delivery gets a note.
+    any other; work before the aircraft's delivery gets a note. Work that was not done by its `status` may lie ahead.
     """
     delivered_on, early = file.delivered_on, list[date]()
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
-        day, pack = moment.date() if moment else to_day(words["done_on"]), _pack_number(words["pack"], file.packs)
-        if fault := time_fault(moment, now, "done_on") if moment else time_fault(day, now.date(), "done_on"):
+        day, pack = moment.date() if moment else to_day(words["done_on"]), _number_up_to(file.packs, words["pack"])
+        status = words[STATUS].upper()
+        latest = now if status in DONE else now + FARTHEST
+        if fault := time_fault(moment, latest, "done_on") if moment else time_fault(day, latest.date(), "done_on"):
             return fault
         early.extend([day] if delivered_on and day and day < delivered_on else [])
         if pack == 0:
@@ -211,16 +217,21 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
         finding, reference = codes["finding"] or None, words["reference"] or None
         serials = (words[name] or None for name in SERIALS)
         return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
-                *serials)  # fmt: skip
+                *serials, status or None)  # fmt: skip
 
     no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", "closes_alert_id"))
-    contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=SERIALS)
+    contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=(*SERIALS, STATUS))
     log = _read_log(file, no_work, lambda content: parse_list(content, contract, validate, "done_on"))
     if not early:
         return log
     detail = f"Delivered on {delivered_on}; work of {', '.join(sorted({f'{day}' for day in early})[:5])}."
     note = file.quarantine([Fault("before_delivery", column_name="done_on", detail=detail)])
     return replace(log, quarantine=pl.concat([log.quarantine, note]))
+
+
+def is_done() -> pl.Expr:
+    """Whether the work of a row of the maintenance log was done."""
+    return pl.col(STATUS).fill_null("").is_in(DONE)
 
 
 def read_fleet(file: LandingFile, now: datetime) -> FileIntake:
@@ -268,11 +279,15 @@ def or_stored(intake: FileIntake, stored: pl.DataFrame) -> FileIntake:
     return replace(intake, rows=rows, n_delivered=intake.n_delivered + rows.height)
 
 
-def _pack_number(word: str, packs: int) -> int | None:
-    """Parse a pack number; None where the field is empty, 0 where it is no pack."""
+def _number_up_to(last: int, word: str) -> int | None:
+    """Parse a number from 1 to `last`, also as `1.0`; None where the field is empty, 0 where it is no such number.
+
+    Data frames write a column of whole numbers with an empty cell as decimals.
+    """
     if not word:
         return None
-    return int(word) if word in {str(n) for n in range(1, packs + 1)} else 0
+    whole = re.sub(r"\.0*$", "", word)
+    return int(whole) if whole in {str(n) for n in range(1, last + 1)} else 0
 
 
 def time_fault(moment: date | None, now: date, column: str) -> Fault | None:

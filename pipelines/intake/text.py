@@ -18,6 +18,8 @@ TEXT_INDEX = "_text"
 MAX_HEADER_BYTES = 1 << 16
 MAX_LINES = 1_000_000
 """A month of reports has thousands of lines; a larger file would take minutes."""
+MAX_LINES_QUOTED = 50
+"""Lines that one record may have by line breaks within quotes."""
 _BOMS = (
     (b"\xff\xfe\x00\x00", "utf-32"),
     (b"\x00\x00\xfe\xff", "utf-32"),
@@ -68,7 +70,8 @@ def _open_lines(content: bytes, contract: Contract, text: Text) -> Fault | None:
     if (n_lines := body.count(b"\n")) > MAX_LINES:
         return Fault("too_large", detail=f"It has {n_lines} lines.", n_rows=_count_rows(body))
     lines, n_cut = _complete_lines(body.split(b"\n"), text)
-    text.header, text.lines = header, {row: line for row, line in enumerate(lines, 2) if line and not line.isspace()}
+    records = _join_quoted(lines, len(header.names))
+    text.header, text.lines = header, {row: line for row, line in records.items() if line and not line.isspace()}
     text.n_rows = len(text.lines) + n_cut
     return None
 
@@ -126,6 +129,33 @@ def _complete_lines(lines: list[bytes], text: Text) -> tuple[list[bytes], int]:
     row, content = len(lines) + 1, _printable(last)
     text.faults.append(Fault("cut_short", row, detail="The last line has no end.", n_rows=1, content=content))
     return complete, 1
+
+
+def _join_quoted(lines: Sequence[bytes], n_names: int) -> dict[int, bytes]:
+    """Return the records of a file by the number of their first line, the header being line 1.
+
+    A record has several lines where a quoted field holds line breaks (RFC 4180, 2.6). A quote that is never closed, or
+    not within `MAX_LINES_QUOTED`, spoils its own line alone.
+    """
+    records, first = dict[int, bytes](), 0
+    while first < len(lines):
+        n_lines = 1
+        if b'"' in lines[first]:
+            ends = range(first + 1, min(first + MAX_LINES_QUOTED, len(lines)) + 1)
+            joined = (end - first for end in ends if _has_fields(b"\n".join(lines[first:end]), n_names))
+            n_lines = next(joined, 1)
+        records[first + 2] = b"\n".join(lines[first : first + n_lines])
+        first += n_lines
+    return records
+
+
+def _has_fields(record: bytes, n_names: int) -> bool:
+    """Return whether a record is CSV of as many fields as the header has."""
+    try:
+        (fields,) = csv.reader(io.StringIO(record.decode(), newline=""), strict=True)
+    except (csv.Error, ValueError):
+        return False
+    return len(fields) == n_names
 
 
 def _is_complete(lines: Sequence[bytes], last: bytes) -> bool:
@@ -218,12 +248,12 @@ def _as_csv(line: bytes, n_names: int) -> bytes | Fault:
     n_fields = line.count(b",") + 1
     if b'"' in line:
         try:
-            fields = next(csv.reader([line.decode()], strict=True))
+            fields = next(csv.reader(io.StringIO(line.decode(), newline=""), strict=True))
         except (csv.Error, StopIteration):
             return Fault("bad_quoting")
         out = io.StringIO()
-        csv.writer(out, lineterminator="").writerow(fields)
-        line, n_fields = out.getvalue().encode(), len(fields)
+        csv.writer(out, lineterminator="\n").writerow(fields)
+        line, n_fields = out.getvalue().removesuffix("\n").encode(), len(fields)
     return (
         line if n_fields == n_names else Fault("wrong_field_count", detail=f"It has {n_fields}, the header {n_names}.")
     )

@@ -11,7 +11,7 @@ from hdt_core.tables import TABLES
 from pipelines.intake.findings import DEFAULTS, NAME, CostError, case_files, costs_or_fault, read_costs, with_findings
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake
-from pipelines.intake.logs import read_checks, read_fleet, read_maintenance, read_messages
+from pipelines.intake.logs import is_done, read_checks, read_fleet, read_maintenance, read_messages
 
 MESSAGE = "message_time,flight_id,pack,code,text\n"
 WORK = "done_on,pack,component,action,finding,reference\n"
@@ -43,11 +43,38 @@ LOGS = [
     ("maintenance", "when,what\n2024-01-01,changed something\n", "missing_columns"),
     ("maintenance", "", "empty_file"),
     ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,2014-06-01,2\n", None),
+    ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,2014-06-01,2.0\n", None),
+    ("messages", MESSAGE + "2024-05-02T18:51:18Z,,1.0,21-52-HXTEMP,\n", None),
+    ("messages", MESSAGE + "2024-05-02T18:51:18Z,,1.5,21-52-HXTEMP,\n", "bad_pack"),
+    ("messages", MESSAGE + '2024-05-02T18:51:18Z,,1,21-52-HXTEMP,"HOT\nHIGH"\n', None),
+    ("messages", MESSAGE + '2024-05-02T18:51:18Z,,1,21-52-HXTEMP,"HOT\n', "bad_quoting"),
+    ("maintenance", WORK + "2024-05-03,1.0,HX,REPLACED,,\n", None),
+    ("maintenance", WORK.strip() + ",status\n2025-05-03,1,HX,REPLACED,,,PLANNED\n", None),
+    ("maintenance", WORK.strip() + ",status\n2061-05-03,1,HX,REPLACED,,,DONE\n", "future_time"),
     ("fleet", AIRCRAFT + "AQX,../etc,40000,2014-06-01,2\n", "bad_key"),
     ("fleet", AIRCRAFT + "AQX,LX-AAA,1,2014-06-01,2\nAQX,LX-AAA,1,2015-06-01,2\n", "bad_key"),
     ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,soon,2\n", "unreadable_time"),
     ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,2014-06-01,many\n", "bad_pack"),
 ]  # fmt: skip
+
+
+def test_line_break_within_quotes(deliver, now):
+    lines = '2024-05-02T18:51:18Z,,1,21-52-HXTEMP,"HOT,\n\nHIGH"\n2024-05-03T18:51:18Z,,2,21-52-HXTEMP,5" duct\n'
+
+    log = read_messages(deliver({"AQX/LX-AAA/messages.csv": (MESSAGE + lines).encode()})[0], now)
+
+    assert log.rows["text"].to_list() == ["HOT,  HIGH", '5" duct']
+
+
+@pytest.mark.parametrize(("status", "done"), [("", 1), ("Closed", 1), ("CANCELLED", 0), ("deferred", 0)])
+def test_status_of_work(status, done, deliver, now):
+    line = f"2024-05-03,1,HX,REPLACED,,WO1,{status}\n"
+    log = (WORK.strip() + ",status\n" + line).encode()
+
+    read = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": log})[0], now)
+
+    assert read.rows.filter(is_done()).height == done
+    assert read.rows.height == 1
 
 
 @pytest.mark.parametrize(("kind", "content", "reason"), LOGS, ids=[f"{k} {r} {i}" for i, (k, _, r) in enumerate(LOGS)])
