@@ -21,14 +21,15 @@ MEAN, FAR = 0.002, 0.03
 
 def sources() -> str:
     """Digest the code that learns a base, without comments and docstrings, and the libraries it uses."""
-    graph = grimp.build_graph("hdt_core", cache_dir=None)
-    modules = sorted({base.__name__} | graph.find_upstream_modules(base.__name__))
-    lines = [f"{name} {code_of(_text(name))}" for name in modules] + [f"{name} {version(name)}" for name in LIBRARIES]
+    lines = [code_of(path.read_text()) for path in source_files()] + [f"{name} {version(name)}" for name in LIBRARIES]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
-def _text(module: str) -> str:
-    return Path(str(importlib.import_module(module).__file__)).read_text()
+def source_files() -> list[Path]:
+    """List the modules that learn a base: its own and all that it imports, in order of their names."""
+    graph = grimp.build_graph("hdt_core", cache_dir=None)
+    modules = sorted({base.__name__} | graph.find_upstream_modules(base.__name__))
+    return [Path(str(importlib.import_module(name).__file__)) for name in modules]
 
 
 def code_of(text: str) -> str:

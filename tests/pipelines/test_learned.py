@@ -2,6 +2,7 @@
 
 import os
 
+import long_tests
 import pytest
 
 from pipelines import learned
@@ -30,3 +31,11 @@ def test_a_base_learned_from_other_inputs_is_refused(monkeypatch):
     monkeypatch.setattr(learned, "INPUTS", ("another",))
     with pytest.raises(learned.StaleBaseError, match=r"python -m pipelines\.learned"):
         learned.shipped_base()
+
+
+def test_learning_group_follows_the_imports():
+    (group,) = [g for g in long_tests.groups() if g.name == "learning"]
+
+    places = {long_tests.ROOT / place for place in long_tests.places(group.sources)}
+
+    assert set(recipe.source_files()) <= places

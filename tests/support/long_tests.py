@@ -9,7 +9,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,6 +17,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+LEARNED = "what the shipped base is learned from"
+"""A source in `tests/long.toml` that stands for modules, known by their imports."""
 PASSED = ROOT / "tests/passed.json"
 NO_TESTS = 5
 """Exit code of a run that selects no test."""
@@ -37,7 +39,7 @@ class Group:
     def digest(self) -> str:
         """Hash of its sources and tests."""
         total = hashlib.sha256()
-        for place in sorted({*self.sources, *(t.partition("::")[0] for t in self.tests)}):
+        for place in sorted({*places(self.sources), *(t.partition("::")[0] for t in self.tests)}):
             for file in _files(ROOT / place):
                 total.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes())
         return total.hexdigest()[:16]
@@ -49,6 +51,17 @@ def _beginnings(test: str) -> frozenset[str]:
     file, _, name = test.partition("::")
     folders = (file[: m.start()] for m in re.finditer("/", file))
     return frozenset({test, f"{file}::{name.partition('[')[0]}", file, *folders})
+
+
+def places(sources: Iterable[str]) -> Iterator[str]:
+    """Files and folders that a group's sources name, below the root."""
+    for source in sources:
+        if source != LEARNED:
+            yield source
+            continue
+        from pipelines.learned.recipe import source_files
+
+        yield from (file.relative_to(ROOT).as_posix() for file in source_files())
 
 
 def _files(place: Path) -> Iterator[Path]:
