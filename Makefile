@@ -1,15 +1,22 @@
 # Two commands: `make run` and `make test`. The rest is for who changes the code.
+PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 HDT_HOME ?= hdt_home
 LANDING ?= data_samples
+RUN_READY := $(VENV)/.ready-run
 READY := $(VENV)/.ready
+INSTALL := $(BIN)/pip install --quiet --no-deps --require-hashes
+COMPILE := $(BIN)/uv pip compile --quiet --custom-compile-command 'make lock' --universal --python-version 3.11 --generate-hashes \
+	--no-emit-index-url --no-emit-find-links --no-strip-extras --no-emit-package hybrid-digital-twin
+EXTRAS := --extra speed --extra ui --extra postgres --extra celery --extra docs --extra serve --extra s3 --extra notebook \
+	--extra dashboard --extra fmi --extra genetic --extra metrics --extra dev
 PACKAGES := hdt_core pipelines dagster_batched sql extensions benchmarks
 unexport PYTHONDONTWRITEBYTECODE  # or every process of a test compiles the tree anew
 
 .PHONY: run test test-long mutate real soak audit dagster check lint types imports sql docs setup lock clean ui words
 
-run: $(READY)
+run: $(RUN_READY)
 	$(BIN)/hdt nightly --landing $(LANDING) --home $(HDT_HOME)
 	$(BIN)/hdt report --home $(HDT_HOME) --out $(HDT_HOME)/report.html
 
@@ -66,17 +73,24 @@ ui: $(READY)
 
 setup: $(READY)
 
-$(READY): requirements.lock pyproject.toml extensions/pyproject.toml
-	python3 -m venv $(VENV)
-	$(BIN)/pip install --quiet --require-hashes -r requirements.lock
+# what a night and its report need
+$(RUN_READY): requirements-run.lock pyproject.toml extensions/pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(INSTALL) -r requirements-run.lock
 	$(BIN)/pip install --quiet --no-deps --no-build-isolation -e . -e extensions
 	$(BIN)/python -m compileall -q $(PACKAGES)  # a second of every process where Python is told to write no bytecode
 	touch $@
 
-# setuptools builds this project from the same pinned set, so it is named here and not in the dependencies
+# and the rest, of the same resolution
+$(READY): $(RUN_READY) requirements.lock
+	$(INSTALL) -r requirements.lock
+	touch $@
+
+# setuptools builds this project from the same pinned set, so it is named here and not in the dependencies; ecos has no wheel
+# for Python 3.13 and is called by nothing here: a solver of scikit-survival, of which benchmarks use the scores
 lock:
-	$(BIN)/uv pip compile --quiet --custom-compile-command 'make lock' --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links --no-strip-extras --no-emit-package hybrid-digital-twin \
-	  --extra speed --extra ui --extra postgres --extra celery --extra docs --extra serve --extra s3 --extra notebook --extra dashboard --extra fmi --extra genetic --extra metrics --extra dev pyproject.toml extensions/pyproject.toml build-requirements.in -o requirements.lock
+	$(COMPILE) --no-emit-package ecos $(EXTRAS) pyproject.toml extensions/pyproject.toml build-requirements.in -o requirements.lock
+	$(COMPILE) --constraint requirements.lock --extra speed pyproject.toml build-requirements.in -o requirements-run.lock
 
 # every message of code, templates and declarations, into the catalog of each language
 words: $(READY)

@@ -206,10 +206,6 @@ def _pooled(parts: list[dict[str, pl.DataFrame]]) -> dict[str, pl.DataFrame]:
     return together_by | {"constant": constant(together_by[CONTESTANTS[0]])}
 
 
-if __name__ == "__main__":
-    run(main, page=PAGE)
-
-
 Array = NDArray[np.float64]
 CONTESTANTS = ("product", "base alone", "physics alone", "logistic hazard")
 TREND = ("level", "slope_30", "slope_100")
@@ -303,3 +299,7 @@ def _prognoses(track: Tracks, by: Array, component: str) -> pl.DataFrame:
     numbers = {"rul_low": low, "rul_flights": middle, "rul_high": high, "p_event_50": by[:, EDGES.tolist().index(50.0)]}
     columns = {name: pl.Series(np.where(track.at[:, 1] >= 0, v, np.nan)).fill_nan(None) for name, v in numbers.items()}
     return track.keys.with_columns(component=pl.lit(component), **columns)
+
+
+if __name__ == "__main__":
+    run(main, page=PAGE)

@@ -130,3 +130,12 @@ def test_the_image_copies_and_brings_what_its_commands_need():
     assert {"serve", "s3"} <= {extra for extras in named for extra in extras.split(",")} <= set(installed.split(","))
     locked = re.findall(r"--extra (\w+)", (ROOT / "Makefile").read_text())
     assert set(installed.split(",")) <= set(locked)
+
+
+def test_a_night_is_installed_from_the_same_resolution():
+    of_all, of_a_night = (
+        set(re.findall(r"^\S+==\S+", (ROOT / name).read_text(), re.MULTILINE))
+        for name in ("requirements.lock", "requirements-run.lock")
+    )
+
+    assert of_a_night < of_all
