@@ -1,11 +1,13 @@
 """Define partitions, the cells of a run and its resources: folders, store and ledger of a home, the IO manager."""
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import dagster as dg
 import polars as pl
@@ -17,9 +19,10 @@ from hdt_core.tables import TABLES
 from pipelines.intake.faults import BREAKS_DECLARATION, NO_FAULTS, Fault, quarantine
 from pipelines.intake.landing_file import modified_at
 from pipelines.intake.merge import json_text
-from pipelines.lineage import LINEAGE, MAKER, Recipe
+from pipelines.lineage import MAKER, Stage
 from pipelines.storage.delta import StoredShards
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.objects import StoreError
 from pipelines.storage.store import FLEET, Aircraft, Store, shard_of
 from pipelines.versions import CELL, expected_versions, restrict_ledger
 
@@ -28,6 +31,8 @@ FLIGHTS = dg.DynamicPartitionsDefinition(name="flight")
 AIRCRAFT_FLIGHTS = RangePartitions({"aircraft": AIRCRAFT, "flight": FLIGHTS})
 NIGHT = {"hdt/night": "yes"}
 """Tag of a run of the chain, which takes cells with files; a run from Dagster's page may take any."""
+PARENT_RUN = "dagster/parent_run_id"
+"""Dagster's tag of a run that is another one run again."""
 
 
 def aircraft_key(operator: str, tail: str) -> str:
@@ -94,6 +99,12 @@ class PartitionScope:
         own = restrict_ledger(ledger, MAKER[table], self.aircraft, flights)
         return expected_versions(own, table).join(self.cells(), on=CELL, how="semi")
 
+    def versions(self, ledger: Ledger, stage: Stage) -> dict[str, pl.DataFrame]:
+        """List the `expected_cells` of each table of a stage; once for all tables of a recipe."""
+        table_of = {recipe: table for table, recipe in stage.tables.items()}
+        cells = {recipe: self.expected_cells(ledger, table) for recipe, table in table_of.items()}
+        return {table: cells[recipe] for table, recipe in stage.tables.items()}
+
     def read_table(self, store: Store, table: str) -> pl.DataFrame:
         """Read the rows of `table` of the run's aircraft, and of its flights where both are by flight."""
         if self.aircraft is None or TABLES[table].grain == "fleet":
@@ -123,44 +134,66 @@ class Home(dg.ConfigurableResource):  # type: ignore[type-arg]  # yields itself
         return Ledger(Path(self.home))
 
 
+class Made(NamedTuple):
+    """Rows of a table, and its cells with the versions of what was read to make them."""
+
+    frame: pl.DataFrame
+    cells: pl.DataFrame
+
+
+def is_of_night(tags: Mapping[str, str]) -> bool:
+    """Return whether a run with these tags belongs to the chain: one that is run again from the page does not."""
+    return NIGHT.items() <= tags.items() and PARENT_RUN not in tags
+
+
+@contextmanager
+def storing(
+    ledger: Ledger, scope: PartitionScope, table: str, cells: pl.DataFrame, tags: Mapping[str, str]
+) -> Iterator[None]:
+    """Store and mark cells in the block, beside other runs.
+
+    A night takes every cell once. Any other run stores alone, and nothing that is older than what a night has stored.
+
+    Raises
+    ------
+    StoreError
+        The inputs of the `cells` have changed since their versions were taken.
+    """
+    of_night = is_of_night(tags)
+    with ledger.turn(shared=of_night):
+        if not of_night and not scope.expected_cells(ledger, table).sort(CELL).equals(cells.sort(CELL)):
+            raise StoreError(f"{table} is not stored: what it was made of has changed meanwhile; run it again")
+        yield
+
+
 class FrameIO(dg.IOManager):
     """IO manager that writes frames to the store of one home."""
 
     def __init__(self, store: Store, ledger: Ledger) -> None:
         self.store, self.ledger = store, ledger
-        self._expected: dict[Recipe, tuple[PartitionScope, pl.DataFrame]] = {}
 
-    def handle_output(self, context: dg.OutputContext, frame: pl.DataFrame) -> None:
+    def handle_output(self, context: dg.OutputContext, made: Made) -> None:
         """Store a frame, mark its cells as stored, and report the rows of each cell."""
         start_s = time.monotonic()
+        table, tags = context.asset_key.path[-1], context.step_context.run_tags
         scope = PartitionScope.of(list(context.asset_partition_keys) if context.has_asset_partitions else None)
-        cells = self.store_frame(context.asset_key.path[-1], scope, frame)
+        with storing(self.ledger, scope, table, made.cells, tags):
+            self.store_frame(table, scope, made.frame, made.cells)
         if scope.aircraft is None:
             stored_s = round(time.monotonic() - start_s, 3)
-            context.add_output_metadata({"rows": frame.height, "seconds_to_store": stored_s})
+            context.add_output_metadata({"rows": made.frame.height, "seconds_to_store": stored_s})
         else:
-            report(context, frame, cells)
+            report(context, made.frame, made.cells)
 
-    def store_frame(self, table: str, scope: PartitionScope, frame: pl.DataFrame) -> pl.DataFrame:
-        """Store a frame and mark the cells that the table should have, which are returned, as stored."""
+    def store_frame(
+        self, table: str, scope: PartitionScope, frame: pl.DataFrame, cells: pl.DataFrame | None = None
+    ) -> None:
+        """Store a frame and mark its cells as stored: by default those that the table should have now."""
         if TABLES[table].grain == "flight":
             self.store.merge(table, scope.aircraft or {}, frame)
         else:
             self.store.replace(table, scope.aircraft or [FLEET], frame)
-        cells = self._expected_cells(table, scope)
-        self.ledger.mark(table, cells)
-        return cells
-
-    def _expected_cells(self, table: str, scope: PartitionScope) -> pl.DataFrame:
-        """List the cells that a table should have, once for all tables of a recipe, stored one after the other."""
-        recipe = LINEAGE[table]
-        if not (recipe.parents or recipe.files):  # has no inputs
-            return scope.expected_cells(self.ledger, table)
-        cached_scope, cells = self._expected.get(recipe, (None, None))
-        if cells is None or cached_scope != scope:
-            cells = scope.expected_cells(self.ledger, table)
-            self._expected[recipe] = scope, cells
-        return cells
+        self.ledger.mark(table, scope.expected_cells(self.ledger, table) if cells is None else cells)
 
     def load_input(self, context: dg.InputContext) -> pl.DataFrame:
         """Read a whole table, for a notebook or `dg`; assets read what they need through their stage."""

@@ -14,7 +14,16 @@ from dagster_batched.runs import CheckBeforeStorage
 from hdt_core.tables import TABLES
 from pipelines.intake.faults import panics_as_errors
 from pipelines.lineage import MAKER, STAGE, UPSTREAM, Stage
-from pipelines.resources import AIRCRAFT, AIRCRAFT_FLIGHTS, Home, PartitionScope, store_broken_rows, tables_set_aside
+from pipelines.resources import (
+    AIRCRAFT,
+    AIRCRAFT_FLIGHTS,
+    Home,
+    Made,
+    PartitionScope,
+    store_broken_rows,
+    storing,
+    tables_set_aside,
+)
 from pipelines.storage.publication import MEANINGS
 
 PUBLISHED = "8_catalog_report"
@@ -85,15 +94,24 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         scope = PartitionScope.of(None if declaration.grain == "fleet" else list(context.partition_keys))
         resources: dict[str, Any] = {"scope": scope, "home": home}
         start = time.monotonic()
+        versions = scope.versions(home.ledger, declaration)  # first: what is read is as new, and what comes is stale
         with panics_as_errors():
             outcome = fn(**{p: resources[p] if p in resources else scope.read_table(home.store, p) for p in arguments})
         duration = {"seconds": round(time.monotonic() - start, 3)}
         result, store, ledger = _as_stage_result(outcome), home.store, home.ledger
         set_aside = tables_set_aside(store, declaration.grain)
         metadata = result.metadata
+
+        def quarantine(table: str, rows: pl.DataFrame) -> None:
+            with storing(ledger, scope, table, versions[table], context.run_tags):
+                store_broken_rows(store, ledger, scope, table, rows)
+
         for table, frame in zip(declaration.tables, result.frames, strict=True):
-            quarantine = partial(store_broken_rows, store, ledger, scope, table)
-            yield from _check_and_store(table, frame, duration, metadata, quarantine, has_old_rows=table in set_aside)
+            checked = _check_and_store(
+                table, frame, duration, metadata, partial(quarantine, table), has_old_rows=table in set_aside
+            )
+            for event in checked:
+                yield _with_cells(event, versions[table]) if isinstance(event, dg.Output) else event
             metadata = {}
 
     return run
@@ -103,6 +121,10 @@ def _as_stage_result(outcome: Frames) -> StageResult:
     if isinstance(outcome, StageResult):
         return outcome
     return StageResult((outcome,) if isinstance(outcome, pl.DataFrame) else outcome, {})
+
+
+def _with_cells(output: dg.Output[pl.DataFrame], cells: pl.DataFrame) -> dg.Output[Made]:
+    return dg.Output(Made(output.value, cells), output_name=output.output_name, metadata=output.metadata)
 
 
 def _upstream_tables(declaration: Stage, arguments: list[str]) -> list[str]:

@@ -5,6 +5,7 @@ read-only command must not, so a file is read without writing (`query_file`). A 
 several machines work for; psycopg2 is imported with the first connection, and no message contains a password.
 """
 
+import fcntl
 import os
 import socket
 import sqlite3
@@ -21,6 +22,7 @@ from pipelines.storage.files import make_private
 
 URL = "HDT_LEDGER_URL"
 _LOCK = "hashtext('hdt'), hashtext(current_schema())"
+_TURN = "hashtext('hdt turn'), hashtext(current_schema())"
 # the server detects after a minute that a machine has lost its power, and releases its lock
 _KEEPALIVE = "set tcp_keepalives_idle = 30; set tcp_keepalives_interval = 10; set tcp_keepalives_count = 3"
 _HOLDER = (
@@ -76,6 +78,20 @@ def fleet_lock(url: str) -> Iterator[str | None]:
         open_connection = stack.pop_all()
     with open_connection:
         yield holder
+
+
+@contextmanager
+def turn(path: Path, url: str, *, shared: bool) -> Iterator[None]:
+    """Wait for a lock and hold it during the block, with others that share it or alone; on a file or in a database."""
+    with ExitStack() as stack:
+        if url:
+            stack.enter_context(_one_line_errors(url))
+            cursor = stack.enter_context(_connection(url)).cursor()
+            cursor.execute(f"select pg_advisory_lock{'_shared' if shared else ''}({_TURN})")
+        else:
+            file = stack.enter_context(open(make_private(path), "rb"))
+            fcntl.flock(file, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
+        yield
 
 
 def _acquire(cursor: Any) -> str | None:

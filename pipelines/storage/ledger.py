@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, Self
 
 import polars as pl
 
-from pipelines.storage.database import URL, Database, Result
+from pipelines.storage.database import URL, Database, Result, turn
 
 _SCHEMA = """
 create table if not exists files (
@@ -111,6 +111,10 @@ class Ledger:
         if not self.url:
             with closing(sqlite3.connect(self.home / FILE, timeout=60)) as con:
                 con.execute("pragma wal_checkpoint(truncate)")
+
+    def turn(self, *, shared: bool) -> AbstractContextManager[None]:
+        """Wait for the turn to store and mark: beside others whose turn is `shared`, or alone."""
+        return turn(self.home / ".storing", self.url, shared=shared)
 
     def _write(self, *, settled: bool = False) -> AbstractContextManager[Any]:
         """Open a transaction that writes; unless `settled`, any cell may be stale after it."""
