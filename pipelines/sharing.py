@@ -21,7 +21,7 @@ import polars as pl
 import polars.selectors as cs
 import pyarrow.parquet as pq
 
-from pipelines.storage.catalog import CATALOG, connect
+from pipelines.storage.catalog import CATALOG, connect, open_database
 from pipelines.storage.files import replacing_folder
 from pipelines.storage.publication import add_meanings, add_views, tables_read, views
 
@@ -209,21 +209,17 @@ def _window(home: Path, scope: AccessScope, keep: Path | None) -> Iterator[duckd
         with connect(home) as con:
             yield con
         return
-    with tempfile.TemporaryDirectory() as scratch, duckdb.connect(str(keep or Path(scratch, CATALOG))) as con:
+    with tempfile.TemporaryDirectory() as scratch, open_database(keep or Path(scratch, CATALOG)) as con:
         build(con, home, scope)
         yield con
 
 
 def _batches(con: duckdb.DuckDBPyConnection, view: str) -> Iterator[pl.DataFrame]:
-    """Yield a view's rows in at least one frame, with DuckDB's 128-bit sums of counts as integers."""
+    """Yield a view's rows in at least one frame."""
     reader = con.sql(f"select * from {view}").to_arrow_reader(_BATCH_ROWS)
-    yield _plain(pl.DataFrame(pl.from_arrow(reader.schema.empty_table())))
+    yield pl.DataFrame(pl.from_arrow(reader.schema.empty_table()))
     for batch in reader:
-        yield _plain(pl.DataFrame(pl.from_arrow(batch)))
-
-
-def _plain(frame: pl.DataFrame) -> pl.DataFrame:
-    return frame.with_columns(cs.decimal().cast(pl.Int64))
+        yield pl.DataFrame(pl.from_arrow(batch))
 
 
 def _parquet(con: duckdb.DuckDBPyConnection, view: str, path: Path) -> int:

@@ -17,8 +17,14 @@ from pipelines.storage.objects import StoreError, message_of
 from pipelines.storage.store import URL, Store
 
 CATALOG = "catalog.duckdb"
+OLDEST_READER = "v1.0.0"
 _TRUST_S = 3600.0
 _OPENING = threading.Lock()
+
+
+def open_database(path: Path) -> duckdb.DuckDBPyConnection:
+    """Open a DuckDB file to write, in the format that every DuckDB since 1.0 reads."""
+    return duckdb.connect(str(path), config={"storage_compatibility_version": OLDEST_READER})
 
 
 def catalog_version(home: Path) -> tuple[int, int]:

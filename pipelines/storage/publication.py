@@ -19,7 +19,7 @@ import dataframely as dy
 import duckdb
 
 from hdt_core.tables import FORMER_COMPONENT_TABLES, FORMER_NAMES, TABLES
-from pipelines.storage.catalog import CATALOG, open_catalog, quote, restrict
+from pipelines.storage.catalog import CATALOG, open_catalog, open_database, quote, restrict
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import hash_of, replacing
 from pipelines.storage.ledger import Ledger
@@ -128,7 +128,7 @@ def publish(home: Path) -> Path:
     with replacing(path) as temporary:
         if reuse:
             shutil.copyfile(path, temporary)
-        tables, con = store.snapshot(), duckdb.connect(str(temporary))
+        tables, con = store.snapshot(), open_database(temporary)
         try:
             store.allow_reads(con)
             con.execute("set TimeZone = 'UTC'")  # as readers have it

@@ -19,7 +19,7 @@ with near as (
         w.reference,
         a.closed_at,
         case
-            when w.closes_alert_id is not null then if(a.alert_id = w.closes_alert_id, 1, null)
+            when w.closes_alert_id is not null then case when a.alert_id = w.closes_alert_id then 1 end
             when coalesce(a.closed_on, w.done_on) >= w.done_on then 2
             when a.closed_reason = 'renewed' then null
             when a.closed_reason = 'found_clean' and coalesce(w.finding, '') not in ('', 'NO_FAULT_FOUND') then 2

@@ -11,7 +11,7 @@
 -- chance_at_least: of 300 flights, where the check lies beyond them [-]
 -- Grain: operator, tail, pack, component. Reads: last_prognoses, flight_rates, tables.raw_checks, tables.raw_costs.
 create or replace macro survival_to_point(points, k) as
-if(points[k] is null, null, ln(greatest(1 - points[k], 1e-9)));
+case when points[k] is not null then ln(greatest(1 - points[k], 1e-9)) end;
 
 create or replace macro chance_between(points, k, share) as
 1 - exp(
@@ -71,6 +71,6 @@ select
     s.flights,
     s.flights_per_day,
     chance_within(p.points, s.flights) as chance,
-    if(s.flights > 300, p.points[6], null) as chance_at_least
+    case when s.flights > 300 then p.points[6] end as chance_at_least
 from last_prognoses as p
 left join spans as s on p.operator = s.operator and p.tail = s.tail;

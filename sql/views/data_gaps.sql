@@ -42,7 +42,7 @@ waits as (
         o.landed_at,
         o.next_at,
         o.fleet_last_at,
-        if(o.next_flight_id[-11:-4] = o.flight_day, o.leg, 0) as legs_before,
+        case when o.next_flight_id[-11:-4] = o.flight_day then o.leg else 0 end as legs_before,
         o.next_flight_id[-2:]::int as next_leg,
         epoch(coalesce(o.next_at, o.fleet_last_at)) - epoch(o.landed_at) as silent_s,
         greatest(10 * coalesce(u.wait_s, 0), 3 * 86400) as allowed_s
@@ -65,7 +65,7 @@ union all
 select
     operator,
     tail,
-    if(next_at is null, 'silent_now', 'silence') as gap,
+    case when next_at is null then 'silent_now' else 'silence' end as gap,
     landed_at as from_at,
     coalesce(next_at, fleet_last_at) as until_at,
     flight_id as after_flight_id,

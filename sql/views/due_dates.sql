@@ -28,7 +28,7 @@ with dated as (
         r.n_weeks,
         l.rul_flights / r.flights_per_day as days_left,
         l.rul_low / r.flights_per_day as days_left_low,
-        if(l.rul_high < 300, l.rul_high / r.flights_per_day, null) as days_left_high
+        case when l.rul_high < 300 then l.rul_high / r.flights_per_day end as days_left_high
     from last_prognoses as l
     left join flight_rates as r on l.operator = r.operator and l.tail = r.tail
     where l.is_observed -- a day needs more than what the prior says of any unit

@@ -12,9 +12,9 @@ select
     tail,
     date_trunc('month', departed_at at time zone 'UTC')::date as month,
     count(*) as n_legs,
-    count_if(admitted) as n_admitted,
-    count_if(admitted) / count(*) as admitted_share,
-    count_if(reason = 'HX_WORN') as n_fouled,
+    count(*) filter (where admitted) as n_admitted,
+    count(*) filter (where admitted) / count(*) as admitted_share,
+    count(*) filter (where reason = 'HX_WORN') as n_fouled,
     mode(reason) filter (where not admitted) as usual_reason
 from legs
 group by operator, tail, month;

@@ -37,8 +37,8 @@ estimates as (
         h.flight_id,
         h.departed_at,
         h.parameter,
-        if(u.component is null, h.value, null) as value,
-        if(u.component is null, h.sd, null) as sd
+        case when u.component is null then h.value end as value,
+        case when u.component is null then h.sd end as sd
     from health_parameters as h
     left join unestimated_units as u
         on h.operator = u.operator and h.tail = u.tail and h.pack = u.pack and h.component = u.component

@@ -17,7 +17,7 @@ select
     coalesce(p.beyond_horizon, false) as beyond_horizon,
     p.p_event_50,
     [0.0, p.p_event_25, p.p_event_50, p.p_event_100, p.p_event_200, p.p_event_300] as points,
-    if(r.component is null, p.status, 'renewed') as status,
+    case when r.component is null then p.status else 'renewed' end as status,
     r.component is null and p.status != 'prior_only' as is_observed
 from prognoses as p
 left join renewed_units as r

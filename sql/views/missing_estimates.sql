@@ -59,12 +59,12 @@ lost as (
         u.component,
         concat_ws(
             ', ',
-            if(median(f.altitude_m_lost_share) >= 0.9, 'altitude_ft', null),
-            if(median(f.mach_lost_share) >= 0.9, 'mach', null),
-            if(median(f.tat_k_lost_share) >= 0.9, 'tat_degc', null),
-            if(median(f.hx_in_k_lost_share) >= 0.9, 'hx_in_degc', null),
-            if(median(f.hx_out_k_lost_share) >= 0.9, 'hx_out_degc', null),
-            if(median(f.pack_flow_kg_s_lost_share) >= 0.9, 'pack_flow_lbpm', null)
+            case when median(f.altitude_m_lost_share) >= 0.9 then 'altitude_ft' end,
+            case when median(f.mach_lost_share) >= 0.9 then 'mach' end,
+            case when median(f.tat_k_lost_share) >= 0.9 then 'tat_degc' end,
+            case when median(f.hx_in_k_lost_share) >= 0.9 then 'hx_in_degc' end,
+            case when median(f.hx_out_k_lost_share) >= 0.9 then 'hx_out_degc' end,
+            case when median(f.pack_flow_kg_s_lost_share) >= 0.9 then 'pack_flow_lbpm' end
         ) as columns
     from unobserved as u
     inner join tables.features as f

@@ -31,7 +31,7 @@ renewals as (
         pack,
         component,
         counts_from,
-        if(bool_or(action = 'REPLACED'), 'replace', 'wash') as choice
+        case when bool_or(action = 'REPLACED') then 'replace' else 'wash' end as choice
     from tables.raw_maintenance
     where action in ('REPLACED', 'CLEANED') and pack is not null
     group by operator, tail, pack, component, counts_from
@@ -89,7 +89,7 @@ costs as (
 choices as (
     select
         component,
-        if(item = 'at_check', 'defer', item) as choice,
+        case when item = 'at_check' then 'defer' else item end as choice,
         cost,
         currency
     from costs
@@ -120,8 +120,8 @@ chances as (
         m.cost as message_cost,
         o.currency,
         u.status as prognosis_status,
-        if(o.choice = 'defer', null, coalesce(r.n_units, 0)) as n_units,
-        if(o.choice = 'defer', u.points, if(r.n_units >= 2, r.points, null)) as points
+        case when o.choice != 'defer' then coalesce(r.n_units, 0) end as n_units,
+        case when o.choice = 'defer' then u.points when r.n_units >= 2 then r.points end as points
     from units as u
     inner join choices as o on u.component = o.component
     left join renewed as r on o.component = r.component and o.choice = r.choice
@@ -140,7 +140,7 @@ select
     flights,
     flights_per_day,
     chance_within(points, flights) as chance,
-    if(flights > 300, points[6], null) as chance_at_least,
+    case when flights > 300 then points[6] end as chance_at_least,
     cost,
     cost + chance_within(points, flights) * message_cost as expected_cost,
     currency,

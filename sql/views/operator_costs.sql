@@ -42,9 +42,9 @@ happened as (
         operator,
         component,
         count(first_message_at) as n_messages,
-        count_if(work_action = 'REPLACED') as n_removals,
-        count_if(work_action = 'CLEANED') as n_washes,
-        count_if(work_finding = 'NO_FAULT_FOUND') as n_needless
+        count(*) filter (where work_action = 'REPLACED') as n_removals,
+        count(*) filter (where work_action = 'CLEANED') as n_washes,
+        count(*) filter (where work_finding = 'NO_FAULT_FOUND') as n_needless
     from removal_leads
     group by operator, component
 ),
@@ -92,7 +92,7 @@ priced as (
         *,
         n_messages * message_price as messages_cost,
         n_removals * removal_price as removals_cost,
-        if(n_washes = 0, 0, n_washes * wash_price) as washes_cost
+        case when n_washes = 0 then 0 else n_washes * wash_price end as washes_cost
     from counted
 )
 

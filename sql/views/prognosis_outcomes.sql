@@ -35,7 +35,7 @@ ended as (
         n.split,
         l.life,
         l.end_row - n.row as seen_flights,
-        if(l.censored, coalesce(l.ended_by, 'open'), 'event') as outcome
+        case when l.censored then coalesce(l.ended_by, 'open') else 'event' end as outcome
     from numbered as n
     asof inner join unit_lives as l
         on

@@ -78,8 +78,8 @@ priced as (
         f.p_event_50,
         w.cost as work_cost,
         m.cost as message_cost,
-        if(a.outcome = 'no_message', m.cost, m.cost * 0) as saving_at_most,
-        if(a.outcome = 'needless', w.cost, w.cost * 0) as needless_cost,
+        case when a.outcome = 'no_message' then m.cost else m.cost * 0 end as saving_at_most,
+        case when a.outcome = 'needless' then w.cost else w.cost * 0 end as needless_cost,
         m.currency,
         greatest(w.source, m.source) as cost_source
     from answered as a
@@ -92,7 +92,7 @@ priced as (
             and a.spell = f.spell
     left join tables.raw_costs as m on a.component = m.component and m.item = 'message'
     left join tables.raw_costs as w
-        on a.component = w.component and w.item = if(a.work_action = 'CLEANED', 'wash', 'replace')
+        on a.component = w.component and w.item = case when a.work_action = 'CLEANED' then 'wash' else 'replace' end
 )
 
 select

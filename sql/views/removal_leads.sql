@@ -129,7 +129,7 @@ joined as (
         s.work_on,
         s.work_finding,
         s.serial_off,
-        if(s.work_action is null, null, s.counts_from) as work_at
+        case when s.work_action is not null then s.counts_from end as work_at
     from spells as s
     left join alerted as a
         on

@@ -28,7 +28,7 @@ counted as (
         pack,
         signal,
         date_trunc('month', time_utc at time zone 'UTC')::date as month,
-        count_if(as_recorded) as n_snapshots,
+        count(*) filter (where as_recorded) as n_snapshots,
         count(reading) filter (where as_recorded) as n_recorded,
         count(reading) filter (where not as_recorded) as n_believed
     from samples

@@ -69,10 +69,10 @@ select
     operator || '/' || tail as split_tail,
     operator || '/' || tail || '/' || pack || '/' || hx_life as split_unit,
     as_stated,
-    if(hx_left >= 0, hx_left, null) as label_hx_flights,
-    if(hx_left >= 0, hx_censored, null) as label_hx_censored,
+    case when hx_left >= 0 then hx_left end as label_hx_flights,
+    case when hx_left >= 0 then hx_censored end as label_hx_censored,
     hx_ended_by as label_hx_ended_by,
-    if(cc_left >= 0, cc_left, null) as label_cc_flights,
-    if(cc_left >= 0, cc_censored, null) as label_cc_censored,
+    case when cc_left >= 0 then cc_left end as label_cc_flights,
+    case when cc_left >= 0 then cc_censored end as label_cc_censored,
     cc_ended_by as label_cc_ended_by
 from joined;

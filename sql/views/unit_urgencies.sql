@@ -25,8 +25,8 @@ chances as (
         c.rul_high,
         c.p_event_50,
         c.status,
-        if(c.is_observed, coalesce(c.chance, c.chance_at_least, c.p_event_50), null) as chance,
-        if(c.is_observed, c.chance, null) * m.cost as message_cost
+        case when c.is_observed then coalesce(c.chance, c.chance_at_least, c.p_event_50) end as chance,
+        case when c.is_observed then c.chance end * m.cost as message_cost
     from check_chances as c
     left join message_costs as m on c.component = m.component
 )

@@ -19,14 +19,16 @@ with tracks as (
         h.departed_at,
         h.value as loss,
         h.sd as loss_sd,
-        lag(h.value, 10) over own as loss_before,
-        lag(h.sd, 10) over own as sd_before,
-        lag(h.departed_at, 10) over own as since,
+        any_value(h.value) over ten_before as loss_before,
+        any_value(h.sd) over ten_before as sd_before,
+        any_value(h.departed_at) over ten_before as since,
         row_number() over own as flight_number
     from health_parameters as h
     inner join tables.components as c on h.component = c.component and h.parameter = c.loss
     where h.value is not null
-    window own as (partition by h.operator, h.tail, h.pack, h.component order by h.departed_at, h.flight_id)
+    window
+        own as (partition by h.operator, h.tail, h.pack, h.component order by h.departed_at, h.flight_id),
+        ten_before as (own rows between 10 preceding and 10 preceding)
 ),
 
 recoveries as (
