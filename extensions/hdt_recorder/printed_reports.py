@@ -41,7 +41,7 @@ def read_printed(file: LandingFile, now: datetime, version: str) -> FileIntake:
         content = read_recording(path, MESSAGE_FILE).tobytes()
         reports = read_reports(content, _layouts(file))
     except (OSError, MapError, LayoutError) as error:
-        reason = "bad_type" if isinstance(error, LayoutError) else "cannot_open"
+        reason = "bad_type" if isinstance(error, LayoutError) else "no_report"
         return _log(file, [], [Fault(reason, detail=f"{error}.")])
     faults = [
         Fault("damaged_line", r.line, None, f"{printable(r.reason)}.", content=printable(r.text))

@@ -15,9 +15,10 @@ from hdt_core.tables import TABLES
 from hdt_core.tracking.component_units import component_readings
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from pipelines.assets.raw import account, with_aircraft
-from pipelines.assets.stage import stage
+from pipelines.assets.stage import StageResult, stage
 from pipelines.intake.components import read_components
-from pipelines.intake.ingest import landing_files
+from pipelines.intake.faults import NO_FAULTS
+from pipelines.intake.ingest import landing_files, register_unread
 from pipelines.lineage import STAGE
 from pipelines.resources import Home, PartitionScope
 from pipelines.storage.settings import accepted_terms
@@ -48,14 +49,16 @@ def in_service(rows: pl.DataFrame, home: Home) -> list[Component]:
 
 
 @stage
-def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
+def raw_components(scope: PartitionScope, home: Home) -> StageResult:
     """Ingest the components' own files; rows stay of files that left the landing zone or hold no good row now."""
     listing = home.ledger.of(scope.aircraft or {}).files(["component", "recorder"])
-    files = landing_files(Path(home.landing), listing)
-    files = [f for f in files if f.is_recording or f.folder in recorded_components()]
+    present_files = landing_files(Path(home.landing), listing)
+    files = [f for f in present_files if f.is_recording or f.folder in recorded_components()]
     rows, accounts, quarantine = (scope.read_table(home.store, table) for table in STAGE["raw_components"].tables)
     packs = dict(rows.group_by("file").agg(pl.col("pack").max()).iter_rows())
     intakes = read_components([replace(f, packs_stored=packs.get(f.path, 0)) for f in files], datetime.now(UTC))
+    read_quarantine = pl.concat([NO_FAULTS, *(d.quarantine for _, d in intakes)])
+    inputs_changed = register_unread(home.ledger, listing, present_files, read_quarantine)
     present, with_rows = [f.path for f in files], [f.path for f, d in intakes if d.n_good]
     empty = [path for path in present if path in packs and path not in with_rows]
     is_empty, is_replaced = (pl.col("file").is_in(paths) for paths in (empty, [p for p in present if p not in empty]))
@@ -66,13 +69,14 @@ def raw_components(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...
     rows = pl.concat([rows.filter(~is_replaced), *(d.rows for _, d in intakes)], how="diagonal_relaxed")
     accounts = pl.concat([accounts, *(with_aircraft(f, account(f, d)) for f, d in intakes)], how="diagonal_relaxed")
     quarantines = [with_aircraft(f, d.quarantine) for f, d in intakes]
-    return (
+    frames = (
         rows.unique(SAMPLE, keep="last", maintain_order=True),
         accounts.group_by("operator", "tail", "file").agg(
             pl.col("delivered", "loaded", "quarantined", "duplicate").sum()
         ),
         pl.concat([quarantine.filter(~pl.col("file").is_in(present)), *quarantines], how="diagonal_relaxed"),
     )
+    return StageResult(frames, {}, inputs_changed)
 
 
 @stage

@@ -9,11 +9,11 @@ import polars as pl
 
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawChecks
-from pipelines.assets.stage import stage
-from pipelines.intake.faults import quarantine
+from pipelines.assets.stage import StageResult, stage
+from pipelines.intake.faults import NO_FAULTS, quarantine
 from pipelines.intake.findings import CASE, costs_or_fault, with_findings
 from pipelines.intake.findings import NAME as COSTS_FILE
-from pipelines.intake.ingest import flights_of, ingest_flights, landing_files
+from pipelines.intake.ingest import flights_of, ingest_flights, landing_files, register_unread
 from pipelines.intake.landing import WITHOUT_FLIGHT, list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.intake.logs import is_done, or_stored, read_checks, read_fleet, read_maintenance, read_messages
@@ -25,27 +25,32 @@ from pipelines.storage.cases import CaseLog
 
 
 @stage
-def raw_fleet(home: Home) -> tuple[pl.DataFrame, ...]:
+def raw_fleet(home: Home) -> StageResult:
     """Read the fleet list, checks and costs, and account for files without a flight."""
     landing, ledger, now = Path(home.landing), home.ledger, datetime.now(UTC)
     stored = home.store.read_table("raw_fleet")
-    lists = [(f, or_stored(read_fleet(f, now), stored)) for f in landing_files(landing, ledger.files(["fleet"]))]
+    listing = ledger.files(["fleet", "checks", WITHOUT_FLIGHT])
+    files = landing_files(landing, listing)
+    lists = [(f, or_stored(read_fleet(f, now), stored)) for f in files if f.kind == "fleet"]
     fleet = lists[0][1].rows if lists else stored  # a missing list removes no aircraft
-    checks = [(f, _checks(f, now, home)) for f in landing_files(landing, ledger.files(["checks"]))]
+    checks = [(f, _checks(f, now, home)) for f in files if f.kind == "checks"]
     costs, cost_faults = costs_or_fault(Path(home.home))
-    without_flight = read_snapshots(landing_files(landing, ledger.files([WITHOUT_FLIGHT])), now)
+    without_flight = read_snapshots([f for f in files if f.kind == WITHOUT_FLIGHT], now)
+    own_quarantine = pl.concat([without_flight.quarantine, *(x.quarantine for _, x in lists + checks)])
+    inputs_changed = register_unread(ledger, listing, files, own_quarantine, due_times(lists + checks))
     accounts = without_flight.delivered.select(
         "file", delivered="n_delivered", loaded=0, quarantined="n_delivered", duplicate=0
     )
-    quarantines = [list_landing(landing).quarantine, without_flight.quarantine]
-    return (
+    quarantines = [list_landing(landing).quarantine, own_quarantine]
+    frames = (
         fleet,
         pl.concat([accounts, *(account(f, x) for f, x in lists + checks)], how="vertical_relaxed"),
-        pl.concat([*quarantines, *(x.quarantine for _, x in lists + checks), quarantine(COSTS_FILE, now, cost_faults)]),
+        pl.concat([*quarantines, quarantine(COSTS_FILE, now, cost_faults)]),
         readers()[TYPES].coverage(landing.resolve()) if TYPES in readers() else home.store.read_table("raw_coverage"),
         pl.concat([RawChecks.create_empty(), *(x.rows for _, x in checks)], how="diagonal_relaxed").unique(),
         costs,
     )
+    return StageResult(frames, {}, inputs_changed)
 
 
 def _checks(file: LandingFile, now: datetime, home: Home) -> FileIntake:
@@ -55,7 +60,7 @@ def _checks(file: LandingFile, now: datetime, home: Home) -> FileIntake:
 
 
 @stage
-def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
+def raw_records(scope: PartitionScope, home: Home) -> StageResult:
     """Read messages, maintenance entries, the case log and heads of printed reports."""
     listing = home.ledger.of(scope.aircraft or {}).files([*RECORDS, REPORTS])
     stored = {table: scope.read_table(home.store, table) for table in STAGE["raw_records"].tables}
@@ -64,7 +69,10 @@ def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
         [stored["raw_maintenance"].filter(pl.col("source") != CASE), stored["raw_maintenance_not_done"]]
     )
     landing = Path(home.landing)
-    logs = [*_logs(listing, stored, landing), *_printed(listing, stored["raw_reports"], landing)]
+    files = landing_files(landing, listing)
+    logs = [*_logs(files, stored), *_printed(files, listing, stored["raw_reports"])]
+    log_quarantine = pl.concat([NO_FAULTS, *(x.quarantine for _, x in logs)])
+    inputs_changed = register_unread(home.ledger, listing, files, log_quarantine, due_times(logs))
     of_kind = {kind: [(f, x) for f, x in logs if f.kind == kind] for kind in (*RECORDS, REPORTS)}
     messages, maintenance = (_records(of_kind[kind], stored[f"raw_{kind}"]) for kind in RECORDS)
     cases = _cases(CaseLog(Path(home.home)).entries(), stored["raw_cases"], scope)
@@ -74,7 +82,7 @@ def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
         return pl.concat([stored[table].filter(of_files_that_left), *frames], how="diagonal")
 
     deliveries = [with_aircraft(f, account(f, x)) for f, x in logs]
-    return (
+    frames = (
         messages,
         date_entries(with_findings(maintenance.filter(is_done()), cases)),
         date_entries(maintenance.filter(~is_done())),
@@ -83,6 +91,7 @@ def raw_records(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
         with_stored("raw_records_deliveries", deliveries).with_columns(_ROW_COUNTS),
         with_stored("raw_records_quarantine", [with_aircraft(f, x.quarantine) for f, x in logs]),
     )
+    return StageResult(frames, {}, inputs_changed)
 
 
 RECORDS = {"messages": read_messages, "maintenance": read_maintenance}
@@ -91,24 +100,31 @@ _ROW_COUNTS = pl.col("delivered", "loaded", "quarantined", "duplicate").fill_nul
 _Logs = list[tuple[LandingFile, FileIntake]]
 
 
-def _logs(listing: pl.DataFrame, stored: Mapping[str, pl.DataFrame], landing: Path) -> _Logs:
+def due_times(logs: _Logs) -> dict[str, datetime]:
+    """Map the files with rows of the future to the time at which the first of them can be stored."""
+    return {file.path: intake.due_at for file, intake in logs if intake.due_at}
+
+
+def _logs(files: list[LandingFile], stored: Mapping[str, pl.DataFrame]) -> _Logs:
     """Read messages and maintenance, one file an aircraft; packs already stored keep their numbers."""
     logs, now = _Logs(), datetime.now(UTC)
-    for file in landing_files(landing, listing.filter(pl.col("kind") != REPORTS)):
+    for file in (f for f in files if f.kind != REPORTS):
         own = stored[f"raw_{file.kind}"].filter(operator=file.operator, tail=file.tail)
         with_packs = replace(file, packs_stored=own.select(pl.col("pack").max()).item() or 0)
         logs.append((with_packs, or_stored(RECORDS[file.kind](with_packs, now), own)))
     return logs
 
 
-def _printed(listing: pl.DataFrame, stored: pl.DataFrame, landing: Path) -> _Logs:
+def _printed(files: list[LandingFile], listing: pl.DataFrame, stored: pl.DataFrame) -> _Logs:
     """Read printed reports whose present version is not stored; there is one a flight."""
     version = pl.concat_str("digest", pl.lit(f".{LINEAGE['raw_reports'].code}")).alias("version")
     unread = listing.filter(pl.col("kind") == REPORTS).with_columns(version)
     unread = unread.join(stored.select(path="file", version="file_version"), on=["path", "version"], how="anti")
     versions, now = dict(unread.select("path", "version").rows()), datetime.now(UTC)
-    files = landing_files(landing, unread) if REPORTS in readers() else []
-    return [(f, readers()[REPORTS].read_printed(f, now, versions[f.path])) for f in files]
+    if REPORTS not in readers():
+        return []
+    logs = [(f, readers()[REPORTS].read_printed(f, now, versions[f.path])) for f in files if f.path in versions]
+    return [(f, replace(x, quarantine=pl.concat([x.quarantine, f.quarantine(f.find_change())]))) for f, x in logs]
 
 
 def _records(logs: _Logs, stored: pl.DataFrame) -> pl.DataFrame:
@@ -139,16 +155,17 @@ def account(file: LandingFile, intake: FileIntake) -> pl.DataFrame:
 
 
 @stage
-def raw(scope: PartitionScope, home: Home) -> tuple[pl.DataFrame, ...]:
+def raw(scope: PartitionScope, home: Home) -> StageResult:
     """Ingest snapshot reports and continuous logs of each flight, from every file that holds it."""
     landing = Path(home.landing)
     aircraft = (scope.aircraft or {}).items()
     intakes = [ingest_flights(landing, home.store, home.ledger, a, flights) for a, flights in aircraft]
     rows = pl.concat([t.rows for t in intakes])
-    return (
+    frames = (
         rows.filter(pl.col("source") == "acms"),
         rows.filter(pl.col("source") == "cpl"),
         pl.concat([t.deliveries for t in intakes]),
         pl.concat([t.quarantine for t in intakes], how="diagonal_relaxed"),
         flights_of(rows),
     )
+    return StageResult(frames, {}, any(t.inputs_changed for t in intakes))

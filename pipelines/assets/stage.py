@@ -50,10 +50,14 @@ def group_of(stage: str) -> dict[str, Any]:
 
 
 class StageResult(NamedTuple):
-    """Frames, with metadata for the materialization of the first table."""
+    """Frames, with metadata for the materialization of the first table.
+
+    `inputs_changed` where the ledger lists files otherwise than before, for they were not read as registered.
+    """
 
     frames: tuple[pl.DataFrame, ...]
     metadata: dict[str, Any]
+    inputs_changed: bool = False
 
 
 Frames = pl.DataFrame | tuple[pl.DataFrame, ...] | StageResult
@@ -99,6 +103,8 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
             outcome = fn(**{p: resources[p] if p in resources else scope.read_table(home.store, p) for p in arguments})
         duration = {"seconds": round(time.monotonic() - start, 3)}
         result, store, ledger = _as_stage_result(outcome), home.store, home.ledger
+        if result.inputs_changed:
+            versions = scope.versions(ledger, declaration)
         set_aside = tables_set_aside(store, declaration.grain)
         metadata = result.metadata
 

@@ -72,7 +72,7 @@ def _read_file(file: LandingFile, folder: str, now: datetime) -> tuple[pl.DataFr
             add_faults([open_file], [(0, fault) for fault in faults])
             return rows, open_file
     except Exception as error:
-        return pl.DataFrame(), OpenFile([Fault("cannot_process", detail=first_line(error))])
+        return pl.DataFrame(), OpenFile([Fault("cannot_process", detail=first_line(error)), *file.find_change()])
 
 
 def _validate(raw: pl.DataFrame, component: Component, now: datetime, packs: int) -> tuple[pl.DataFrame, list[Fault]]:

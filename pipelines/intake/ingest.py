@@ -5,17 +5,20 @@ file has left the landing zone, or now holds no good row of the flight, come fro
 again and is broken removes nothing.
 """
 
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
 from hdt_core.tables import TABLES
 from pipelines.intake.columns import AIRPORTS
 from pipelines.intake.faults import BREAKS_DECLARATION
-from pipelines.intake.landing_file import LandingFile, modified_at
+from pipelines.intake.landing_file import UNREAD, LandingFile, Registered, modified_at
 from pipelines.intake.merge import ACCOUNT, MergeResult, compare_redelivery, count_rows, merge_deliveries
 from pipelines.intake.snapshots import ROW_COLUMNS, Intake, read_snapshots
 from pipelines.lineage import FLIGHT_FILES
@@ -33,6 +36,8 @@ class IngestResult:
     rows: pl.DataFrame
     deliveries: pl.DataFrame
     quarantine: pl.DataFrame
+    inputs_changed: bool
+    """Whether a file was not read as it was registered."""
 
 
 def ingest_flights(
@@ -45,6 +50,8 @@ def ingest_flights(
     stored_rows = StoredRows(store, aircraft, flights, [f.path for f in files])
     packs = stored_rows.packs()
     intake = read_snapshots([replace(f, packs_stored=packs.get(f.path, 0)) for f in files], datetime.now(UTC))
+    of_files = flight_files.filter(pl.col("flight_id").is_in(flights))
+    inputs_changed = register_unread(ledger, of_files, files, intake.quarantine)
     _check_balance(intake)
     of_flights = pl.col("flight_id").is_in(flights)
     rows, quarantine = intake.rows.filter(of_flights), _with_flight(intake.quarantine, carriers).filter(of_flights)
@@ -61,6 +68,7 @@ def ingest_flights(
         result.rows.drop("row_in_file"),
         pl.concat([account, stored_rows.deliveries(result, with_rows)]).group_by(ACCOUNT).sum().with_columns(**names),
         pl.concat([quarantine, stored_rows.quarantine()], how="diagonal").with_columns(**names),
+        inputs_changed,
     )
 
 
@@ -128,12 +136,75 @@ class StoredRows:
         return counts.select(*ACCOUNT, "delivered", "loaded", "quarantined", duplicate=duplicate)
 
 
+_REGISTERED = ("path", "operator", "tail", "kind", "size", "mtime_ns", "digest")
+
+
 def landing_files(landing: Path, ledger_rows: pl.DataFrame) -> list[LandingFile]:
     """List the files of ledger rows that are still in the landing zone, by path."""
-    columns = ("path", "operator", "tail", "kind", "size", "mtime_ns", "digest")
-    rows = ledger_rows.select(columns).unique().sort("path").rows()
-    root, present = str(landing.resolve()), (row for row in rows if (landing / row[0]).is_file())
-    return [LandingFile(root, *row, context=digest.partition(" ")[2]) for *row, digest in present]  # type: ignore[misc]
+    rows = ledger_rows.select(_REGISTERED).unique().sort("path").rows()
+    root = str(landing.resolve())
+    present = [row for row in rows if os.path.isfile(landing / row[0])]
+    return [_landing_file(root, Registered.parse(digest), row) for *row, digest in present]
+
+
+def _landing_file(root: str, registered: Registered, row: list[Any]) -> LandingFile:
+    path, operator, tail, kind, size, mtime_ns = row
+    return LandingFile(
+        root,
+        path,
+        operator,
+        tail,
+        kind,
+        size,
+        mtime_ns,
+        context=registered.context,
+        content_hash=registered.content_hash,
+    )
+
+
+def register_unread(
+    ledger: Ledger,
+    ledger_rows: pl.DataFrame,
+    files: Iterable[LandingFile],
+    quarantine: pl.DataFrame,
+    due_at: Mapping[str, datetime] | None = None,
+) -> bool:
+    """Register as unread the files of ledger rows that were not read as they were registered.
+
+    Their cells are then made of no content, and the scan of a later night finds the files new as soon as it can read
+    them. Call it before the cells are marked.
+
+    Parameters
+    ----------
+    ledger_rows : DataFrame
+        Files that were to be read, as the ledger lists them.
+    files : iterable of LandingFile
+        Those that are in the landing zone.
+    quarantine : DataFrame
+        Faults that were found in them.
+    due_at : mapping of str to datetime, optional
+        When files with rows of the future, by path, are to be read again.
+
+    Returns
+    -------
+    bool
+        Whether the ledger lists a file otherwise now.
+    """
+    not_read = quarantine.filter(pl.col("reason").is_in(UNREAD))["file"]
+    read = {file.path for file in files}.difference(not_read)
+    changed = []
+    for *row, digest in ledger_rows.select(_REGISTERED).unique().rows():
+        registered = Registered.parse(digest)
+        due = (due_at or {}).get(row[0])
+        if row[0] in read:
+            as_read = registered._replace(due_at=due.isoformat() if due else "")
+        else:
+            as_read = registered._replace(content_hash="")
+        if as_read != registered:
+            changed.append((*row, str(as_read)))
+    if changed:
+        ledger.register(changed, {})
+    return bool(changed)
 
 
 def flights_of(rows: pl.DataFrame) -> pl.DataFrame:

@@ -3,13 +3,12 @@
 A file is new by its content, so that a touched one is not. Entries that do not belong there go to quarantine.
 """
 
-import hashlib
 import os
 import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -17,10 +16,20 @@ from typing import NamedTuple
 import polars as pl
 
 from hdt_core.components import recorded_components
-from pipelines.intake.faults import Fault, quarantine
+from pipelines.intake.faults import MAX_NAMES, Fault, quarantine
 from pipelines.intake.findings import COSTS, case_files
 from pipelines.intake.findings import NAME as COSTS_FILE
-from pipelines.intake.landing_file import PACKS, RECORDER, Kind, LandingFile, is_operator, is_tail, modified_at
+from pipelines.intake.landing_file import (
+    PACKS,
+    RECORDER,
+    Kind,
+    LandingFile,
+    Registered,
+    hash_of,
+    is_operator,
+    is_tail,
+    modified_at,
+)
 from pipelines.intake.logs import FleetLines, fleet_lines
 from pipelines.intake.readers import NO_READER, REPORTS, TYPES, Zone, readers
 from pipelines.lineage import FLIGHT_FILES
@@ -28,7 +37,9 @@ from pipelines.storage.cases import CaseLog
 from pipelines.storage.ledger import FileRecord, Ledger
 
 PART = ".part"
-MESSAGES, MAINTENANCE = "messages.csv", "maintenance.csv"
+MAX_NS = 2**63 - 1
+"""Farthest time from 1970 that a ledger holds."""
+FLEET_LIST, MESSAGES, MAINTENANCE = "fleet.csv", "messages.csv", "maintenance.csv"
 
 
 class Landing(NamedTuple):
@@ -92,6 +103,9 @@ class _Listing:
         operator, _, rest = path.partition("/")
         tail = rest.partition("/")[0]
         keys = ("", "") if kind in ("fleet", "type", "checks") else (operator, tail)
+        if abs(status.st_mtime_ns) > MAX_NS:
+            self.reject(path, "bad_file_time", "")
+            return
         times = status.st_mtime_ns, max(status.st_ctime_ns, status.st_mtime_ns)
         in_fleet_list = keys == ("", "") or keys in self.lines
         self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, *times, context, in_fleet_list))
@@ -121,7 +135,7 @@ class _Listing:
 
 
 _LOGS: dict[tuple[int, str], Kind] = {
-    (0, "fleet.csv"): "fleet", (0, "checks.csv"): "checks", (0, "checks.parquet"): "checks",
+    (0, FLEET_LIST): "fleet", (0, "checks.csv"): "checks", (0, "checks.parquet"): "checks",
     (2, MESSAGES): "messages", (2, MAINTENANCE): "maintenance",
 }  # fmt: skip
 
@@ -230,6 +244,8 @@ class Scan:
     """Flights in the new files; one in two of them counts twice."""
     new_paths: frozenset[str]
     """Paths of the new files."""
+    read_paths: frozenset[str]
+    """Paths of the files that could be read."""
     quarantine: pl.DataFrame
     """Quarantine rows of ignored entries."""
 
@@ -238,8 +254,9 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     """Register new and changed files of the landing zone, with the flights of each."""
     began_ns, listing, records = time.time_ns(), list_landing(landing), ledger.file_records()
     new = _new_files(listing.files, records, ledger)
-    flights = _flights([f for f in new if f.kind in FLIGHT_FILES])
-    rows = [(f.path, f.operator, f.tail, _kind_of(f, flights), f.size, f.mtime_ns, _digest(f)) for f in new]
+    digests = {f.path: _digest(f) for f in new}
+    flights = {f.path: _flights(f, digests) for f in new if f.kind in FLIGHT_FILES}
+    rows = [(f.path, f.operator, f.tail, _kind_of(f, flights), f.size, f.mtime_ns, str(digests[f.path])) for f in new]
     no_files = [(p, "", "", NO_FILE, 0, 0, reason) for p, reason in listing.quarantine.select("file", "reason").rows()]
     rows += [r for r in no_files if r[0] not in records]
     own_files = [*case_files(CaseLog(ledger.home).entries()), *_settings(ledger.home, records)]
@@ -250,16 +267,32 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     if rows or touch_times:
         ledger.register(rows, flights, touch_times)
     new_paths = frozenset(f.path for f in new)
-    return Scan(len(listing.files), len(new), sum(map(len, flights.values())), new_paths, listing.quarantine)
+    read_paths = frozenset(f.path for f in listing.files if f.path not in digests or digests[f.path].content_hash)
+    n_flights = sum(map(len, flights.values()))
+    return Scan(len(listing.files), len(new), n_flights, new_paths, read_paths, listing.quarantine)
 
 
-def _flights(files: Iterable[LandingFile]) -> dict[str, list[str]]:
-    """List the flights of each file; pyarrow and the recorders' decoders are loaded only for new files."""
-    if not files:
-        return {}
-    from pipelines.intake.snapshots import flights_in
+def find_loss(landing: Path, zone: Scan, records: Records) -> str:
+    """Name the files that could be read when the zone was scanned and were not read so since; empty without any."""
+    read_paths = sorted(zone.read_paths.intersection(records))
+    lost = [path for path in read_paths if not Registered.parse(records[path].digest).content_hash]
+    had_list = FLEET_LIST in zone.read_paths or not zone.files  # without any file the zone was unmounted before
+    if had_list and not (landing / FLEET_LIST).is_file():
+        lost = list(dict.fromkeys([FLEET_LIST, *lost]))
+    if not lost:
+        return ""
+    names = ", ".join(lost[:MAX_NAMES]) + (f" and {len(lost) - MAX_NAMES} more" if len(lost) > MAX_NAMES else "")
+    return f"vanished, unreadable or changed while the night ran: {names}; the next night reads what is there then"
 
-    return {f.path: flights_in(f) for f in files}
+
+def _flights(file: LandingFile, digests: dict[str, Registered]) -> list[str]:
+    """List the flights of a new file; where it changed since it was hashed, none, and its hash goes from `digests`."""
+    from pipelines.intake.snapshots import flights_in  # pyarrow and the recorders' decoders
+
+    flights = flights_in(replace(file, content_hash=digests[file.path].content_hash))
+    if flights is None:
+        digests[file.path] = digests[file.path]._replace(content_hash="")
+    return flights or []
 
 
 def _settings(home: Path, records: Records) -> Iterator[Row]:
@@ -279,24 +312,29 @@ def _new_files(files: Iterable[LandingFile], records: Records, ledger: Ledger) -
     """Select the files that are new or changed, or whose context is not the recorded one."""
     last_scan_ns = _last_scan_ns(ledger)
     current = (_with_recorded_context(file, records) for file in files)
-    return [file for file in current if _is_new(file, records.get(file.path), last_scan_ns)]
+    now = datetime.now(UTC)
+    return [file for file in current if _is_new(file, records.get(file.path), last_scan_ns, now)]
 
 
 def _with_recorded_context(file: LandingFile, records: Records) -> LandingFile:
     """Keep the recorded context of a file whose aircraft is not in the fleet list at present."""
     if file.in_fleet_list or file.path not in records:
         return file
-    return replace(file, context=records[file.path].digest.partition(" ")[2])
+    return replace(file, context=Registered.parse(records[file.path].digest).context)
 
 
-def _is_new(file: LandingFile, record: FileRecord | None, last_scan_ns: int) -> bool:
-    """Compare a file with its record, and its content where it was touched: a copy can keep size and time."""
+def _is_new(file: LandingFile, record: FileRecord | None, last_scan_ns: int, now: datetime) -> bool:
+    """Compare a file with its record, and its content where it was touched: a copy can keep size and time.
+
+    One that could not be read is new once it can be, and one with rows of the future when their time has come.
+    """
     if record is None or (record.size, record.mtime_ns) != (file.size, file.mtime_ns):
         return True
-    if record.digest.partition(" ")[2] != file.context:
+    registered = Registered.parse(record.digest)
+    if registered.context != file.context or registered.is_due(now):
         return True
     later = file.touched_ns > last_scan_ns if record.touched_ns is None else file.touched_ns != record.touched_ns
-    return later and _digest(file) != record.digest
+    return (later or not registered.content_hash) and _digest(file).content_hash != registered.content_hash
 
 
 def _last_scan_ns(ledger: Ledger) -> int:
@@ -307,19 +345,19 @@ def _last_scan_ns(ledger: Ledger) -> int:
     return int((datetime.fromisoformat(nights["began_at"][-1]) - CLOCK_DIFFERENCE).timestamp() * 1e9)
 
 
-def _kind_of(file: LandingFile, flights: dict[str, list[str]]) -> str:
+def _kind_of(file: LandingFile, flights: Mapping[str, list[str]]) -> str:
     return WITHOUT_FLIGHT if file.kind in FLIGHT_FILES and not flights[file.path] else file.kind
 
 
-def _digest(file: LandingFile) -> str:
+def _digest(file: LandingFile) -> Registered:
     """Hash the content, empty where it cannot be read, which intake reports; with the file's context."""
     try:
-        content = _hash_file(Path(file.landing, file.path))
+        content_hash = _hash_file(Path(file.landing, file.path))
     except OSError:
-        content = ""
-    return f"{content} {file.context}" if file.context else content
+        content_hash = ""
+    return Registered(content_hash, "", file.context)
 
 
 def _hash_file(path: Path) -> str:
     with open(path, "rb") as stream:
-        return hashlib.file_digest(stream, "blake2b").hexdigest()[:32]
+        return hash_of(stream)

@@ -3,11 +3,13 @@
 Times are ISO 8601 with Z, an offset or neither.
 """
 
+import hashlib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
-from typing import Literal
+from io import BufferedReader
+from typing import Literal, NamedTuple
 
 import polars as pl
 
@@ -127,6 +129,8 @@ Kind = Literal[
 ]
 RECORDER = "recorder"
 """Folder of an aircraft that holds recordings."""
+UNREAD = ("cannot_open", "changed_since_scan")
+"""Faults of a file that was not read as it was registered; later nights try it again."""
 MAX_TEXT_BYTES = 64 << 20
 MAX_PARQUET_BYTES = 256 << 20
 """A flight's report is kilobytes, a month of them or a 1 Hz log a few megabytes; larger files are not read."""
@@ -152,6 +156,8 @@ class LandingFile:
     """Whether the fleet list has a line of its aircraft; otherwise the recorded context of a file stays valid."""
     packs_stored: int = 0
     """Packs that are stored of it; the fleet list can't reduce them."""
+    content_hash: str = ""
+    """Hash of the content that was registered; empty where none is known."""
 
     @property
     def packs(self) -> int:
@@ -226,12 +232,58 @@ class LandingFile:
             return None, [Fault("cannot_open", detail=error.strerror or type(error).__name__)]
         if len(content) > limit:
             return None, [Fault("too_large", detail=f"It has more than {limit >> 20} MiB.")]
-        return content, []
+        return content, self._compare_hash(hash_of(content))
+
+    def find_change(self) -> list[Fault]:
+        """Compare the file with what was registered, for a reader that opens it by itself; the fault if it differs."""
+        try:
+            with open(self.full_path, "rb") as source:
+                return self._compare_hash(hash_of(source))
+        except OSError as error:
+            return [Fault("cannot_open", detail=error.strerror or type(error).__name__)]
+
+    def _compare_hash(self, content_hash: str) -> list[Fault]:
+        return [] if self.content_hash in ("", content_hash) else [Fault("changed_since_scan")]
 
     @property
     def received_at(self) -> datetime:
         """When it was last written."""
         return modified_at(self.mtime_ns)
+
+
+class Registered(NamedTuple):
+    """What the ledger's digest of a file says: hash of the content, when to read it again (ISO 8601), its context.
+
+    The hash is empty where the file could not be read as it was registered. A time is there where rows were refused
+    because they lay after the clock's time.
+    """
+
+    content_hash: str
+    due_at: str
+    context: str
+
+    @classmethod
+    def parse(cls, digest: str) -> "Registered":
+        """Parse a digest of the ledger."""
+        content, _, context = digest.partition(" ")
+        content_hash, _, due_at = content.partition("@")
+        return cls(content_hash, due_at, context)
+
+    def __str__(self) -> str:
+        """Format the digest."""
+        content = f"{self.content_hash}@{self.due_at}" if self.due_at else self.content_hash
+        return f"{content} {self.context}" if self.context else content
+
+    def is_due(self, now: datetime) -> bool:
+        """Whether rows that were refused for their time can be stored by now."""
+        return bool(self.due_at) and datetime.fromisoformat(self.due_at) <= now
+
+
+def hash_of(content: bytes | BufferedReader) -> str:
+    """Hash the content of a file, given as bytes or opened."""
+    if isinstance(content, bytes):
+        return hashlib.blake2b(content).hexdigest()[:32]
+    return hashlib.file_digest(content, "blake2b").hexdigest()[:32]
 
 
 def modified_at(mtime_ns: int) -> datetime:
@@ -247,6 +299,8 @@ class FileIntake:
     quarantine: pl.DataFrame
     n_delivered: int
     n_duplicate: int
+    due_at: datetime | None = None
+    """When the first row can be stored of those that were refused for a time after the clock's."""
 
     @property
     def n_quarantined(self) -> int:

@@ -6,7 +6,7 @@ Each line is validated by itself and stored once.
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from datetime import date, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -175,10 +175,14 @@ FARTHEST = timedelta(days=3660)
 
 def read_messages(file: LandingFile, now: datetime) -> FileIntake:
     """Read maintenance messages of one aircraft: the columns of `raw_messages`."""
+    later = list[datetime]()
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
         pack = _number_up_to(file.packs, words["pack"])
-        if fault := time_fault(moment, now, "message_time") or _flight_fault(words["flight_id"], file.tail):
+        if fault := time_fault(moment, now, "message_time"):
+            later.extend([moment] if moment and moment > now else [])
+            return fault
+        if fault := _flight_fault(words["flight_id"], file.tail):
             return fault
         if pack == 0:
             return Fault("bad_pack", column_name="pack")
@@ -188,9 +192,10 @@ def read_messages(file: LandingFile, now: datetime) -> FileIntake:
         return file.operator, file.tail, moment, flight, pack, words["code"], text
 
     contract = Contract(("message_time", "flight_id", "pack", "code"), ("text",))
-    return _read_log(
+    log = _read_log(
         file, RawMessages.create_empty(), lambda content: parse_list(content, contract, validate, "message_time")
     )
+    return replace(log, due_at=min(later, default=None))
 
 
 def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
@@ -200,12 +205,15 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     any other; work before the aircraft's delivery gets a note. Work that was not done by its `status` may lie ahead.
     """
     delivered_on, early = file.delivered_on, list[date]()
+    later = list[datetime]()
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
         day, pack = moment.date() if moment else to_day(words["done_on"]), _number_up_to(file.packs, words["pack"])
         status = words[STATUS].upper()
-        latest = now if status in DONE else now + FARTHEST
+        ahead = timedelta(0) if status in DONE else FARTHEST
+        latest = now + ahead
         if fault := time_fault(moment, latest, "done_on") if moment else time_fault(day, latest.date(), "done_on"):
+            later.extend([(moment or start_of(day)) - ahead] if day and fault.reason == "future_time" else [])
             return fault
         early.extend([day] if delivered_on and day and day < delivered_on else [])
         if pack == 0:
@@ -222,6 +230,7 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", "closes_alert_id"))
     contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=(*SERIALS, STATUS))
     log = _read_log(file, no_work, lambda content: parse_list(content, contract, validate, "done_on"))
+    log = replace(log, due_at=min(later, default=None))
     if not early:
         return log
     detail = f"Delivered on {delivered_on}; work of {', '.join(sorted({f'{day}' for day in early})[:5])}."
@@ -241,17 +250,21 @@ def read_fleet(file: LandingFile, now: datetime) -> FileIntake:
 
 def read_checks(file: LandingFile, now: datetime) -> FileIntake:
     """Read planned checks from CSV or Parquet with the columns `operator, tail, date, name`."""
+    later = list[datetime]()
 
     def validate(words: Words, _: datetime | None) -> Row | Fault:
         if not is_operator(words["operator"]) or not is_tail(words["tail"]):
             return Fault("bad_key", column_name="operator, tail")
         day = to_day(words["date"])
+        if day is not None and day > now.date() + FARTHEST:
+            later.append(start_of(day) - FARTHEST)
         if day is None or not EARLIEST <= day <= now.date() + FARTHEST:
             return Fault("unreadable_time", column_name="date", detail="A day (2024-06-19) within the next ten years.")
         return (words["operator"], words["tail"], day, words["name"] or "check")
 
     contract = Contract(("operator", "tail", "date"), extra=("name",))
     log = _read_log(file, RawChecks.create_empty(), lambda content: parse_list(content, contract, validate))
+    log = replace(log, due_at=min(later, default=None))
     if file.is_text:
         return log
     return replace(log, quarantine=log.quarantine.with_columns(pl.col("row") - 1))  # no header precedes row 1
@@ -263,12 +276,13 @@ def _read_log(file: LandingFile, no_rows: pl.DataFrame, parse: Callable[[bytes],
     if content is not None and file.kind == "checks" and not file.is_text:
         from pipelines.intake.parquet import parquet_as_text  # pyarrow
 
-        content, faults = parquet_as_text(content)
+        content, parquet_faults = parquet_as_text(content)
+        faults = [*faults, *parquet_faults]
     if content is None:
         return FileIntake(no_rows, file.quarantine(faults), 0, 0)
     lines = parse(content)
     rows = pl.DataFrame(lines.rows, schema=no_rows.schema, orient="row")
-    return FileIntake(rows, file.quarantine(lines.faults), lines.n_delivered, lines.n_duplicate)
+    return FileIntake(rows, file.quarantine([*faults, *lines.faults]), lines.n_delivered, lines.n_duplicate)
 
 
 def or_stored(intake: FileIntake, stored: pl.DataFrame) -> FileIntake:
@@ -297,6 +311,11 @@ def time_fault(moment: date | None, now: date, column: str) -> Fault | None:
     if (moment.date() if isinstance(moment, datetime) else moment) < EARLIEST:
         return Fault("too_early", column_name=column)
     return Fault("future_time", column_name=column) if moment > now else None
+
+
+def start_of(day: date) -> datetime:
+    """Return the first moment of a day, UTC."""
+    return datetime(day.year, day.month, day.day, tzinfo=UTC)
 
 
 def _flight_fault(flight: str, tail: str) -> Fault | None:

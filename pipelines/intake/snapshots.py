@@ -9,7 +9,7 @@ import polars as pl
 from hdt_core.tables.raw import RawSnapshots
 from pipelines.intake.columns import PACK_FILES, SIGNAL_COLUMNS, WORDS, Contract
 from pipelines.intake.faults import NO_FAULTS, REASONS, Fault, first_line, limit_values, panics_as_errors
-from pipelines.intake.landing_file import LandingFile, flight_day, flight_tail, to_utc, zone_note
+from pipelines.intake.landing_file import UNREAD, LandingFile, flight_day, flight_tail, to_utc, zone_note
 from pipelines.intake.parquet import open_parquet
 from pipelines.intake.readers import readers
 from pipelines.intake.row_validation import validate_rows
@@ -51,7 +51,7 @@ def read_snapshots(files: Sequence[LandingFile], now: datetime) -> Intake:
     except Exception as error:
         if len(files) == 1:  # it costs no other file
             file = files[0]
-            faults = file.quarantine([Fault("cannot_process", detail=first_line(error))])
+            faults = file.quarantine([Fault("cannot_process", detail=first_line(error)), *file.find_change()])
             return Intake(NO_ROWS, faults, _delivered_frame([file.path], [0]))
     half = len(files) // 2
     parts = [read_snapshots(part, now) for part in (files[:half], files[half:])]
@@ -79,18 +79,21 @@ def _delivered_frame(paths: list[str], n_rows: list[int]) -> pl.DataFrame:
     return pl.DataFrame({"file": paths, "n_delivered": n_rows}, schema={"file": pl.String, "n_delivered": pl.Int64})
 
 
-def flights_in(file: LandingFile) -> list[str]:
+def flights_in(file: LandingFile) -> list[str] | None:
     """List the flights of a file, sorted: from its name, or else from its flight_id column.
 
-    Only well-formed ids of the file's own tail; none where it cannot be read, which `read_snapshots` reports.
+    Only well-formed ids of the file's own tail; none where its content cannot be read, which `read_snapshots` reports.
+    None where it can't be opened or its content is no longer what its hash says.
     """
     if file.flight is not None or file.is_recording:
         return [file.flight] if file.flight else []
     try:
         with panics_as_errors():
-            _, raw = open_files([file], PACK_FILES, only=("flight_id",))
+            (open_file,), raw = open_files([file], PACK_FILES, only=("flight_id",))
     except Exception:
         return []
+    if any(fault.reason in UNREAD for fault in open_file.faults):
+        return None
     flights = raw.get_column("flight_id").drop_nulls().unique().to_list() if raw.height else []
     return sorted(f for f in flights if flight_day(f) is not None and flight_tail(f) == file.tail)
 
@@ -138,15 +141,15 @@ def _open(
     """Open one file; its columns, but those of a text, which is parsed with the others."""
     if file.is_recording:
         frame, n_rows, faults = readers()[file.folder].rows(file, table)
-        return OpenFile(faults, n_rows), frame
+        return OpenFile([*faults, *file.find_change()], n_rows), frame
     content, faults = file.read_content()
     if content is None:
         return OpenFile(faults), pl.DataFrame()
     if file.is_text:
         text = open_text(content, contract)
-        return OpenFile(text.faults, text.n_rows, text), pl.DataFrame()
-    frame, n_rows, faults = open_parquet(content, contract, only)
-    return OpenFile(faults, n_rows), frame
+        return OpenFile([*faults, *text.faults], text.n_rows, text), pl.DataFrame()
+    frame, n_rows, parquet_faults = open_parquet(content, contract, only)
+    return OpenFile([*faults, *parquet_faults], n_rows), frame
 
 
 def _columns_of_texts(open_files: Sequence[OpenFile], contract: Contract) -> pl.DataFrame:
