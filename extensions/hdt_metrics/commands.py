@@ -28,6 +28,20 @@ _BY_LABEL = {
         ("operator", "reason"),
         "select coalesce(operator, ''), reason, sum(n_rows)::double from quarantine where n_rows > 0 group by all",
     ),
+    "refused_files": (
+        "files of which nothing is stored, all nights",
+        ("operator", "file", "reason"),
+        """
+        select distinct coalesce(operator, ''), file, reason, 1.0 from quarantine where scope = 'file'
+        or file in (select file from deliveries where delivered > 0 and loaded + duplicate = 0) and scope <> 'note'
+        """,
+    ),
+    "noted_files": (
+        "files taken in with a note, all nights",
+        ("operator", "reason"),
+        "select coalesce(operator, ''), reason, count(distinct file)::double from quarantine where scope = 'note'"
+        " group by all",
+    ),
     "open_alerts": (
         "open alerts",
         ("operator", "urgency"),

@@ -14,10 +14,10 @@ import duckdb
 import polars as pl
 
 from pipelines.digest.declaration import NotifyError, receivers_of
-from pipelines.intake.faults import ignored_entries, silent_columns, silent_lines
+from pipelines.intake.faults import REASONS, ignored_entries, silent_columns, silent_lines
 from pipelines.intake.findings import NAME as NAME_OF_COSTS
 from pipelines.intake.findings import CostError, read_costs
-from pipelines.intake.landing import list_landing
+from pipelines.intake.landing import list_landing, list_new_files
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.readers import TYPES, readers
 from pipelines.intake.snapshots import read_snapshots
@@ -38,6 +38,8 @@ from pipelines.storage.store import Store
 _NEEDED_GB = 1.0
 FILES_A_FOLDER = 3
 """Files of a folder of an aircraft that are checked: the oldest and the newest."""
+NEW_FILES = 1_000
+"""Files that no night has read yet that are checked besides, the last written first."""
 _FILES_AT_ONCE = 100  # in memory
 
 
@@ -55,7 +57,7 @@ def examine(landing: Path | None, home: Path | None) -> Iterator[Check]:
     yield Check("python", sys.version_info >= (3, 11), f"{platform.python_version()}, {os.cpu_count()} cores")
     yield from _packages()
     if landing is not None:
-        yield from _landing(landing)
+        yield from _landing(landing, home)
         if TYPES in readers():
             yield from (Check(*result) for result in readers()[TYPES].checks(landing.resolve()))
     if home is not None:
@@ -72,8 +74,8 @@ def _packages() -> Iterator[Check]:
             yield Check(name, name not in needed, without)
 
 
-def _landing(landing: Path) -> Iterator[Check]:
-    """Check names in the landing zone, and the contents of a few files of each aircraft."""
+def _landing(landing: Path, home: Path | None) -> Iterator[Check]:
+    """Check names in the landing zone, and the contents of new files and of a few of each aircraft."""
     if fault := find_landing_fault(landing):
         yield Check("landing zone", False, fault)
         return
@@ -83,8 +85,13 @@ def _landing(landing: Path) -> Iterator[Check]:
     message += f": {'; '.join(ignored_entries(refused))}" if refused.height else ""
     well = files > 0 and refused.is_empty()
     yield Check("landing zone", well, message if files else f"{message}; `hdt docs raw-data` shows the layout")
-    n_sampled, silent = silent_in_landing(landing, datetime.now(UTC))
-    yield Check("contents", not silent, "; ".join(silent) or f"{n_sampled} files sampled, columns as agreed")
+    if unlisted := sorted({f"{f.operator} {f.tail}" for f in listing.files if not f.in_fleet_list}):
+        yield Check("fleet list", False, f"fleet.csv lacks {', '.join(unlisted)}")
+    new = list_new_files(landing, Ledger(home, read_only=True))[1] if home else listing.files
+    newest = sorted((f for f in new if f.kind in FLIGHT_FILES), key=lambda f: f.mtime_ns, reverse=True)[:NEW_FILES]
+    sample = {f.path: f for f in (*newest, *sample_files(listing.files))}
+    faults = check_contents([*sample.values()], datetime.now(UTC))
+    yield Check("contents", not faults, "; ".join(faults) or f"{len(sample)} files sampled, columns as agreed")
 
 
 def sample_files(files: Iterable[LandingFile]) -> list[LandingFile]:
@@ -101,19 +108,26 @@ def _oldest_and_newest(files: list[LandingFile]) -> list[LandingFile]:
     return newest if files[-1].is_recording or len(files) < FILES_A_FOLDER else [files[0], *newest]
 
 
-def silent_in_landing(landing: Path, now: datetime) -> tuple[int, list[str]]:
-    """Check a sample of a landing zone: the number of files, and a line for each silent column; nothing is stored."""
-    files = sample_files(list_landing(landing).files)
+def check_contents(files: list[LandingFile], now: datetime) -> list[str]:
+    """List files of which nothing could be stored, and each silent column; nothing is stored."""
     with duckdb.connect() as con:
         con.execute("create schema tables")
-        for start in range(0, max(len(files), 1), _FILES_AT_ONCE):
+        refused = [
             _load(con, files[start : start + _FILES_AT_ONCE], now)
+            for start in range(0, max(len(files), 1), _FILES_AT_ONCE)
+        ]
         con.execute(views()["silent_columns"])
-        return len(files), silent_lines(silent_columns(con))
+        return [*ignored_entries(pl.concat(refused)), *silent_lines(silent_columns(con))]
 
 
-def _load(con: duckdb.DuckDBPyConnection, files: list[LandingFile], now: datetime) -> None:
-    """Load accounts and quarantine rows of some files into the tables that the view reads."""
+def _load(con: duckdb.DuckDBPyConnection, files: list[LandingFile], now: datetime) -> pl.DataFrame:
+    """Load accounts and quarantine rows of some files into the tables that the view reads.
+
+    Returns
+    -------
+    DataFrame
+        Quarantine rows of the files without a good row: `file, detail`, one of each file.
+    """
     intake = read_snapshots(files, now)
     both = pl.concat([intake.rows.select("file", "flight_id"), intake.quarantine.select("file", "flight_id")])
     flights = both.drop_nulls().group_by("file").agg(pl.col("flight_id").max())
@@ -125,6 +139,9 @@ def _load(con: duckdb.DuckDBPyConnection, files: list[LandingFile], now: datetim
         con.register("frame", frame)
         con.execute(f"create table if not exists tables.{table} as select * from frame limit 0")
         con.execute(f"insert into tables.{table} select * from frame")
+    refused = intake.quarantine.filter(~pl.col("file").is_in(intake.rows["file"].unique().implode()))
+    sentence = pl.col("reason").replace({code: reason.sentence for code, reason in REASONS.items()})
+    return refused.filter(pl.col("scope") != "note").select("file", detail=sentence).unique("file")
 
 
 def _home(home: Path) -> Iterator[Check]:

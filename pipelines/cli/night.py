@@ -209,14 +209,20 @@ def _print_results(home: Path, night: Any, seconds: float) -> None:
 
 
 def _print_refusals(home: Path, files: frozenset[str]) -> None:
-    """Print what of tonight's files was quarantined, and the silent columns of their aircraft."""
-    from pipelines.intake.faults import quarantine_line, silent_columns, silent_lines
+    """Print what of tonight's files was refused or noted, and the silent columns of their aircraft."""
+    from pipelines.intake.faults import file_lines, quarantine_line, silent_columns, silent_lines
     from pipelines.storage.catalog import connect
 
     with connect(home) as con:
         quarantined, silent = quarantine_line(con, files), silent_columns(con)
+        refused = file_lines(con, files, notes=False)
+        noted = file_lines(con, files, notes=True)
     if quarantined:
         err.print(f"set aside: {quarantined}", soft_wrap=True)
+    for line in refused:
+        err.print(f"nothing stored of: {line}", soft_wrap=True)
+    for line in noted:
+        err.print(f"noted: {line}", soft_wrap=True)
     own = {tuple(path.split("/")[:2]) for path in files}
     for line in silent_lines(r for r in silent if (r["operator"], r["tail"]) in own):
         err.print(f"silent: {line}", soft_wrap=True)

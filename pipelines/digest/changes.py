@@ -15,8 +15,10 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import connect_as_of
 
 State = dict[str, Any]
-"""JSON: `until`, `alerts` and `closed` by id, `outlook` by unit, `gaps` and `silent` by name, `files` by path."""
-EMPTY: State = {"until": None, "alerts": {}, "closed": {}, "outlook": {}, "gaps": {}, "silent": {}, "files": {}}
+"""JSON: `until`, `alerts` and `closed` by id, `outlook` by unit, `gaps`, `silent` by name, `files`, `notes` by path."""
+EMPTY: State = {
+    "until": None, "alerts": {}, "closed": {}, "outlook": {}, "gaps": {}, "silent": {}, "files": {}, "notes": {},
+}  # fmt: skip
 """State before the first night."""
 
 _UNTIL = "select strftime(max(departed_at) at time zone 'UTC', '%Y-%m-%d %H:%M') from flights"
@@ -65,7 +67,7 @@ _PART = ("pack", "component")
 _FILES = """
 select file, any_value(operator) as operator, sum(n_rows)::bigint as n_rows,
     string_agg(distinct replace(reason, '_', ' '), ', ' order by replace(reason, '_', ' ')) as reasons
-from quarantine where file is not null and scope <> 'note' group by file order by file
+from quarantine where file is not null and (scope = 'note') = $notes group by file order by file
 """
 
 
@@ -88,12 +90,13 @@ def read_state(con: duckdb.DuckDBPyConnection, tasks: Tasks | None = None) -> St
         "silent": {
             _key(r, "operator", "tail", "folder", "column_name", "reason"): r for r in map(dict, silent_columns(con))
         },
-        "files": {row["file"]: row for row in _rows(con, _FILES)},
+        "files": {row["file"]: row for row in _rows(con, _FILES, notes=False)},
+        "notes": {row["file"]: row for row in _rows(con, _FILES, notes=True)},
     }
 
 
-def _rows(con: duckdb.DuckDBPyConnection, sql: str) -> list[dict[str, Any]]:
-    return list(con.sql(sql).pl().iter_rows(named=True))
+def _rows(con: duckdb.DuckDBPyConnection, sql: str, **values: bool) -> list[dict[str, Any]]:
+    return list(con.sql(sql, params=values).pl().iter_rows(named=True))
 
 
 def _key(row: dict[str, Any], *columns: str) -> str:
@@ -102,7 +105,7 @@ def _key(row: dict[str, Any], *columns: str) -> str:
 
 Row = dict[str, Any]
 _URGENCY, _SEVERITY = ("none", "plan", "act"), ("low", "medium", "high")
-KINDS = ("new", "worse", "closed", "moved", "eased", "silent", "gap", "refused")
+KINDS = ("new", "worse", "closed", "moved", "eased", "silent", "gap", "refused", "noted")
 """Kinds of change, in the order of the digest."""
 
 
@@ -151,6 +154,7 @@ def changes_since(home: Path, night: str | None = None) -> Digest:
 def compare(before: State, now: State) -> Digest:
     """Return the changes between two states; an alert raised and closed in between does not appear."""
     pairs = [(before["alerts"][name], row) for name, row in now["alerts"].items() if name in before["alerts"]]
+    notes_before: dict[str, Row] = before["notes"] if "notes" in before else now["notes"]  # an older version kept none
     changes = {
         "new": [row for name, row in now["alerts"].items() if name not in before["alerts"]],
         "worse": [row | {"was": was} for was, row in pairs if _weight(row) > _weight(was)],
@@ -160,6 +164,7 @@ def compare(before: State, now: State) -> Digest:
         "silent": [row for name, row in now["silent"].items() if name not in before["silent"]],
         "gap": [row for name, row in now["gaps"].items() if name not in before["gaps"]],
         "refused": [row for name, row in now["files"].items() if before["files"].get(name) != row],
+        "noted": [row for name, row in now["notes"].items() if notes_before.get(name) != row],
     }
     in_order = {kind: sorted(rows, key=_order) for kind in KINDS if (rows := changes[kind])}
     return Digest(before["until"], now["until"], in_order)

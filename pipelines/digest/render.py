@@ -22,6 +22,7 @@ TITLES = {
     "silent": "Columns that fell silent",
     "gap": "Data gaps",
     "refused": "Files refused, whole or in part",
+    "noted": "Files taken in with a note",
 }
 _GAPS = {
     "missing_leg": "{flights} after {after_flight_id} never arrived",
@@ -126,9 +127,13 @@ def _gap(row: Row) -> str:
     return _GAPS[row["gap"]].format(**row, flights=several("{n} flight", "{n} flights", row["n_flights"] or 0)) + "."
 
 
+def _note(row: Row) -> str:
+    return f"{row['reasons']}."
+
+
 def _file_refusal(row: Row) -> str:
     return f"{row['reasons']}; {several('{n} row', '{n} rows', row['n_rows'] or 0)}."
 
 
 _SENTENCE = {"new": _alert, "worse": _alert_change, "closed": _closing, "moved": _outlook, "eased": _alert_change,
-             "silent": describe_silence, "gap": _gap, "refused": _file_refusal}  # fmt: skip
+             "silent": describe_silence, "gap": _gap, "refused": _file_refusal, "noted": _note}  # fmt: skip

@@ -103,6 +103,12 @@ select file, reason, sum(n_rows)::bigint as n_rows from quarantine
 where n_rows > 0 group by file, reason order by n_rows desc, file, reason
 """
 
+_OF_FILES = """
+select distinct file, scope = 'note' as is_note, reason from quarantine
+where scope in ('file', 'note') or file in (select file from deliveries where delivered > 0 and loaded + duplicate = 0)
+order by file, reason
+"""
+
 
 def ignored_entries(entries: pl.DataFrame) -> list[str]:
     """List the names in the landing zone that are not read; those with one reason in one folder share a line."""
@@ -130,6 +136,13 @@ def quarantine_line(con: "duckdb.DuckDBPyConnection", new_files: Collection[str]
         reason=REASONS[reason].sentence,
         query='hdt query "select * from quarantine where n_rows > 0"',
     )
+
+
+def file_lines(con: "duckdb.DuckDBPyConnection", new_files: Collection[str], *, notes: bool) -> list[str]:
+    """List the new files of which nothing is stored, or those with `notes`, and why; those alike share a line."""
+    reasons = con.sql(_OF_FILES).pl().filter(pl.col("file").is_in(list(new_files)), pl.col("is_note") == notes)
+    sentences = {code: reason.sentence for code, reason in REASONS.items()}
+    return ignored_entries(reasons.with_columns(detail=pl.col("reason").replace(sentences)))
 
 
 def silent_columns(con: "duckdb.DuckDBPyConnection") -> list[Row]:

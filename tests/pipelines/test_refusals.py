@@ -1,5 +1,6 @@
 """What is not taken in does not go by without a word: names, rows set aside, columns that fell silent."""
 
+import os
 from pathlib import Path
 
 import duckdb
@@ -14,7 +15,14 @@ from pipelines.cli.base import app
 from pipelines.cli.doctor import FILES_A_FOLDER, examine, sample_files
 from pipelines.digest.changes import EMPTY, compare, read_state
 from pipelines.digest.render import as_text
-from pipelines.intake.faults import MAX_LINES, ignored_entries, quarantine_line, silent_columns, silent_lines
+from pipelines.intake.faults import (
+    MAX_LINES,
+    file_lines,
+    ignored_entries,
+    quarantine_line,
+    silent_columns,
+    silent_lines,
+)
 from pipelines.intake.ingest import ingest_flights
 from pipelines.intake.landing import list_landing, scan
 from pipelines.orchestration.nightly import Night
@@ -163,3 +171,69 @@ def test_the_terminal_says_what_the_night_did_not_take(zone, capfd):
     assert "silent: AQX LX-AAA: mach refused in 100 %" in stderr
     assert "not read: AQX/odd.txt" in stderr
     assert faults(home, landing) == []
+
+
+def nothing(content: bytes) -> bytes:
+    return b""
+
+
+def local_times(content: bytes) -> bytes:
+    return content.replace(b"Z,", b",")
+
+
+@pytest.mark.parametrize(("spoil", "notes", "said"), [
+    (nothing, False, "The file is empty."), (LATE, False, "pack is not the number"), (local_times, True, "no zone"),
+])  # fmt: skip
+def test_file_is_named_with_its_fault(zone, spoil, notes, said):
+    landing, home = zone
+    drop(landing, [as_it_is, spoil])
+    new_paths = night(landing, home)
+
+    with read(home) as con:
+        (line,) = file_lines(con, new_paths, notes=notes)
+
+    assert line.startswith("AQX/LX-AAA/acms/LX-AAA_20240525_02.csv: ")
+    assert said in line
+
+
+def test_digest_names_files_with_a_note(zone):
+    landing, home = zone
+    drop(landing, [local_times])
+    night(landing, home)
+    publish(home)
+
+    with connect(home) as con:
+        digest = compare(EMPTY, read_state(con))
+
+    assert "LX-AAA_20240525_01.csv: time without zone." in as_text(digest)
+
+
+def test_doctor_reads_every_new_file(zone):
+    landing, _ = zone
+    drop(landing, [as_it_is, as_it_is, nothing, as_it_is, as_it_is, as_it_is])
+
+    check = next(c for c in examine(landing, None) if c.name == "contents")
+
+    assert check.message == "AQX/LX-AAA/acms/LX-AAA_20240525_03.csv: The file is empty."
+
+
+def test_doctor_names_aircraft_that_the_fleet_list_lacks(zone):
+    landing, _ = zone
+    drop(landing, [as_it_is])
+    (landing / "fleet.csv").write_text("operator,tail,packs\nAQX,LX-AAB,2\n")
+
+    check = next(c for c in examine(landing, None) if c.name == "fleet list")
+
+    assert check.message == "fleet.csv lacks AQX LX-AAA"
+
+
+def test_file_of_a_time_beyond_the_ledger_is_refused_alone(zone):
+    landing, home = zone
+    drop(landing, [as_it_is, as_it_is])
+    far = landing / "AQX/LX-AAA/acms/LX-AAA_20240525_02.csv"
+    os.utime(far, ns=(0, 2**63))
+
+    listing = scan(landing, Ledger(home))
+
+    assert listing.quarantine.select("file", "reason").rows() == [(str(far.relative_to(landing)), "bad_file_time")]
+    assert listing.flights == 1

@@ -33,9 +33,11 @@ def test_figures_are_those_of_ledger_and_catalog(sample_home, tmp_path):
     with connect(sample_home) as con:
         flights = con.execute("select operator, epoch(max(departed_at)) from flights group by operator").fetchall()
         ((refused,),) = con.execute("select sum(n_rows) from quarantine where n_rows > 0").fetchall()
+        files = con.execute("select distinct file from quarantine where scope = 'file'").fetchall()
         ((alerts,),) = con.execute("select count(*) from open_alerts").fetchall()
     assert values["hdt_last_flight_timestamp_seconds"] == {(o,): at for o, at in flights}
     assert sum(values["hdt_quarantined_rows"].values()) == refused
+    assert {labels[1] for labels in values["hdt_refused_files"]} == {file for (file,) in files}
     assert sum(values["hdt_open_alerts"].values()) == alerts
     printed = CliRunner().invoke(app, ["metrics", "--home", str(sample_home)])
     assert figures(printed.output) == values
