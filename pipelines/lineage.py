@@ -16,6 +16,8 @@ from hdt_core.tables import TABLES
 Grain = Literal["flight", "aircraft", "fleet"]
 BATCH_FACTORS = {"flight": 4, "aircraft": 20, "fleet": 1}
 FLIGHT_FILES = ("acms", "history", "cpl", "recorder")
+HELD = "record_held"
+"""Table of the flights that are held."""
 RECORD_FILES = ("messages", "maintenance", "reports")
 DECLARED = "1 " + " ".join(c.version for c in components().values())
 """Version of the declared components: a change of one makes its results again."""
@@ -35,6 +37,8 @@ class Recipe:
         Kinds of delivered file whose contents count.
     baseline : bool
         Only the commissioning window of the parents counts.
+    judged : bool
+        Only which flights of the parents are held counts, and each cell of a child depends on its own flights alone.
     settings : tuple of str
         Settings of the home that count: accepted physical terms, alert limits (`settings.HOME_SETTINGS`).
     code : str
@@ -45,6 +49,7 @@ class Recipe:
     n_cell_parents: int = 1
     files: tuple[str, ...] = ()
     baseline: bool = False
+    judged: bool = False
     settings: tuple[str, ...] = ()
     code: str = "1"
 
@@ -142,11 +147,13 @@ STAGES = (
     }, untracked=("raw_fleet",), label="messages and maintenance"),
     declare_stage(
         "raw", "raw", "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights",
-        files=FLIGHT_FILES, code="3", untracked=("raw_fleet",), fresh="raw_flights", label="flights and legs",
+        files=FLIGHT_FILES, code="4", untracked=("raw_fleet",), fresh="raw_flights", label="flights",
         batch_factor=1,
     ),
+    declare_stage("record", "record", HELD, parents=("raw_flights",), judged=True, label="judgement of the record"),
     declare_stage(
-        "legs", "legs", "legs_samples", "legs_verdicts", parents=("raw_flights",), code="4", fresh="legs_verdicts",
+        "legs", "legs", "legs_samples", "legs_verdicts", parents=("raw_flights", HELD), code="4",
+        fresh="legs_verdicts", label="legs",
     ),
     declare_stage(
         "calibration", "calibration",
@@ -173,7 +180,7 @@ STAGES = (
     ),
     declare_stage(
         "calibration_components", "calibration", "legs_components", "calibration_components",
-        parents=("raw_components", "raw_maintenance", "raw_reports"), settings=("terms",), code=f"3 {DECLARED}",
+        parents=("raw_components", "raw_maintenance", "raw_reports", HELD), settings=("terms",), code=f"3 {DECLARED}",
     ),
     declare_stage(
         "twin_health", "twin", "twin_health", "twin_checkpoints", "residuals_components",

@@ -14,7 +14,8 @@ import polars as pl
 
 from hdt_core.flight.legs import baseline_flights
 from hdt_core.tables import TABLES
-from pipelines.lineage import LINEAGE, Recipe, Stage
+from pipelines.lineage import HELD, LINEAGE, Recipe, Stage
+from pipelines.record import held_flights, is_any_due, judge_record
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.settings import HOME_SETTINGS, accepted_terms
 from pipelines.storage.store import Aircraft, Store
@@ -37,9 +38,9 @@ def _expected_versions(ledger: Ledger, table: str, parents: Mapping[str, pl.Data
     recipe, grain = LINEAGE[table], TABLES[table].grain
     if recipe.files:
         return _file_versions(ledger, grain, recipe)
-    if recipe.baseline:
-        lines = digest(*baseline_inputs(ledger))
-        return _with_version(pl.DataFrame({"made_of": [lines]}), recipe.code)
+    if recipe.baseline or recipe.judged:
+        lines = baseline_inputs(ledger) if recipe.baseline else map(str, judge_record(ledger).rows())
+        return _with_version(pl.DataFrame({"made_of": [digest(*lines)]}), recipe.code)
     if not recipe.parents:
         return _with_version(pl.DataFrame({"made_of": [table]}), recipe.code)
     first, *others = (parents[parent] for parent in recipe.parents)
@@ -64,11 +65,14 @@ def find_stale_cells(ledger: Ledger, stage: Stage) -> pl.DataFrame:
 
 
 def recipe_version(ledger: Ledger, stages: Sequence[Stage]) -> str:
-    """Hash all that determines cells beside their inputs: stages, column types, accepted terms, the fleet's tables."""
+    """Hash all that determines cells beside their inputs: stages, column types, accepted terms, the fleet's tables.
+
+    And whether a flight that lay after the clock is due.
+    """
     parents = {p for stage in stages if stage.grain != "fleet" for p in stage.parents if TABLES[p].grain == "fleet"}
     versions = (v for cells in ledger.of(()).cells_of(sorted(parents)).values() for v in cells["version"])
     settings = (value for read in HOME_SETTINGS.values() for value in read(ledger.home))
-    return digest(repr(stages), _declared_types(), *settings, *versions)
+    return digest(repr(stages), _declared_types(), *settings, *versions, *(["due"] if is_any_due(ledger) else []))
 
 
 @cache
@@ -123,7 +127,16 @@ def _parents(
     depths = {parent: depth for recipe, depth in recipes if not recipe.baseline for parent in recipe.parents}
     finer = [parent for parent, depth in depths.items() if _DEPTH[TABLES[parent].grain] > depth]
     stored = ledger.cells_of([*(parent for parent in depths if parent not in finer), *also], finer)
-    return {parent: _versions_at(stored[parent], depth, parent) for parent, depth in depths.items()}, stored
+    versions = {parent: _versions_at(stored[parent], depth, parent) for parent, depth in depths.items()}
+    if HELD in versions:
+        versions[HELD] = _held_at(ledger, depths[HELD])
+    return versions, stored
+
+
+def _held_at(ledger: Ledger, depth: int) -> pl.DataFrame:
+    """Return the held flights as versions at a depth of cells: a cell without one has none."""
+    line = pl.concat_str("flight_id", "reason", separator="=")
+    return held_flights(ledger).group_by(CELL[:depth]).agg(line.sort().str.join("|").alias(HELD))
 
 
 def _versions_at(stored: pl.DataFrame, depth: int, table: str) -> pl.DataFrame:

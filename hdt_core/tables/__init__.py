@@ -69,6 +69,7 @@ TABLES: dict[str, StoredTable] = {
     "raw_flights": StoredTable(raw.RawFlights, "flight", ("flight_id",), "month"),
     "raw_deliveries": StoredTable(raw.RawDeliveries, "flight", ("file", "flight_id"), "month", whole=True),
     "raw_quarantine": StoredTable(raw.RawQuarantine, "flight", ("file", "row", "column_name", "reason"), "month"),
+    "record_held": StoredTable(raw.RecordHeld, "fleet", ("operator", "tail", "departed_at", "flight_id")),
     "raw_reports": StoredTable(raw.RawReports, "aircraft", ("reported_at", "report", "file")),
     "raw_messages": StoredTable(raw.RawMessages, "aircraft", ("message_time", "code", "flight_id", "pack")),
     "raw_maintenance": StoredTable(raw.RawMaintenance, "aircraft", ("done_on", "pack", "component", "reference")),

@@ -82,6 +82,31 @@ class RawFlights(FlightTable):
     n_seconds = count("seconds of continuous log")
     origin = text("ICAO code of the airport of departure, where the operator gives it")
     destination = text("ICAO code of the airport of arrival, where the operator gives it")
+    first_altitude_m = number("first pressure altitude", "m")
+    last_altitude_m = number("last pressure altitude", "m")
+    highest_altitude_m = number("highest pressure altitude", "m")
+    mean_altitude_m = number("mean pressure altitude", "m")
+    first_mach = number("first Mach number", "-")
+    last_mach = number("last Mach number", "-")
+    highest_mach = number("highest Mach number", "-")
+    mean_tat_k = number("mean total air temperature", "K")
+    mean_hx_in_k = number("mean heat exchanger hot-side inlet of the packs", "K")
+    n_values = count("recorded values", nullable=True)
+    ground_stop_s = count("longest time between two airborne reports in a row that are both low", "s", nullable=True)
+    clock_back_s = count("largest step back of the clock in the order of the file", "s", nullable=True)
+    n_steps_back = count("steps back of the clock in the order of the file", nullable=True)
+
+
+class RecordHeld(FlightTable):
+    """One flight that is stored and from which nothing is computed, for its time or identity can't be right."""
+
+    departed_at = moment("first recorded time, as delivered")
+    landed_at = moment("last recorded time, as delivered")
+    reason = text("reason code", nullable=False)
+    likely_cause = text("code of what made it so, where the numbers show one")
+    other_flight_id = text("flight that it copies, continues or overlaps")
+    file = text("file that delivered it, below the landing zone")
+    held_since = moment("modification time of the file", nullable=True)
 
 
 class RawDeliveries(Table):

@@ -15,7 +15,7 @@ from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import NominalBaseline, admit, learn_baseline, leg_indicators
 from hdt_core.flight.control_schedules import learn_schedules
 from hdt_core.flight.legs import judge_legs, reject_odd_bleed
-from hdt_core.records.keys import FLIGHT_PACK, LEG, of_each_aircraft
+from hdt_core.records.keys import FLIGHT, FLIGHT_PACK, LEG, of_each_aircraft
 from hdt_core.tables.raw import SIGNALS
 from pipelines.assets.stage import StageResult, stage
 from pipelines.report.plots import as_png, figure_12, figure_13, figure_15, outlet_residuals
@@ -26,9 +26,12 @@ from pipelines.versions import baseline_cells, baseline_records
 
 
 @stage
-def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Classify each leg by its own record alone: phase, completeness, range, steady state."""
-    verdicts, samples = judge_legs(pl.concat([raw_snapshots, raw_logs]))
+def legs(
+    raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame, record_held: pl.DataFrame
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Classify each leg that is not held by its own record alone: phase, completeness, range, steady state."""
+    rows = pl.concat([raw_snapshots, raw_logs]).join(record_held, on=FLIGHT, how="anti", maintain_order="left")
+    verdicts, samples = judge_legs(rows)
     return samples, verdicts
 
 

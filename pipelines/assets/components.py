@@ -10,7 +10,7 @@ from hdt_core.components import Component, component_rows, recorded_components
 from hdt_core.components.pack import CC, HX
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
-from hdt_core.records.keys import LEG
+from hdt_core.records.keys import FLIGHT, LEG
 from hdt_core.tables import TABLES
 from hdt_core.tracking.component_units import component_readings
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
@@ -81,12 +81,17 @@ def raw_components(scope: PartitionScope, home: Home) -> StageResult:
 
 @stage
 def calibration_components(
-    raw_components: pl.DataFrame, raw_maintenance: pl.DataFrame, raw_reports: pl.DataFrame, home: Home
+    raw_components: pl.DataFrame,
+    record_held: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
+    raw_reports: pl.DataFrame,
+    home: Home,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Select steady flights of each component and estimate the design of each pack's first unit."""
     from hdt_core.tracking.component_units import commission  # its estimators take half a second to load
 
-    results = [commission(raw_components, raw_maintenance, c, raw_reports) for c in in_service(raw_components, home)]
+    rows = raw_components.join(record_held, on=FLIGHT, how="anti", maintain_order="left")
+    results = [commission(rows, raw_maintenance, c, raw_reports) for c in in_service(rows, home)]
     legs = conform_all("legs_components", [x for x, _ in results])
     design = conform_all("calibration_components", [d for _, d in results])
     return legs, design.with_columns(pl.lit("tail").alias("scope"))

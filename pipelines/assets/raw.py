@@ -7,13 +7,14 @@ from pathlib import Path
 
 import polars as pl
 
+from hdt_core.record.facts import flight_facts
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawChecks
 from pipelines.assets.stage import StageResult, stage
 from pipelines.intake.faults import NO_FAULTS, quarantine
 from pipelines.intake.findings import CASE, costs_or_fault, with_findings
 from pipelines.intake.findings import NAME as COSTS_FILE
-from pipelines.intake.ingest import flights_of, ingest_flights, landing_files, register_unread
+from pipelines.intake.ingest import ingest_flights, landing_files, register_unread
 from pipelines.intake.landing import WITHOUT_FLIGHT, list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.intake.logs import is_done, or_stored, read_checks, read_fleet, read_maintenance, read_messages
@@ -166,6 +167,6 @@ def raw(scope: PartitionScope, home: Home) -> StageResult:
         rows.filter(pl.col("source") == "cpl"),
         pl.concat([t.deliveries for t in intakes]),
         pl.concat([t.quarantine for t in intakes], how="diagonal_relaxed"),
-        flights_of(rows),
+        flight_facts(rows),
     )
     return StageResult(frames, {}, any(t.inputs_changed for t in intakes))

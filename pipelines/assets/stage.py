@@ -26,13 +26,14 @@ from pipelines.resources import (
 )
 from pipelines.storage.publication import MEANINGS
 
-PUBLISHED = "8_catalog_report"
+PUBLISHED = "9_catalog_report"
 """Asset group of the catalog and the report."""
 _GROUPS = {
-    "raw": ("1_recorder_files", "flight-data"), "legs": ("2_flight_legs", "flight-data"),
-    "calibration": ("3_system_model", "thermal-models"), "twin": ("4_twin", "thermal-models"),
-    "residuals": ("5_residuals", "thermal-models"), "features": ("6_health_alerts", "health-monitoring"),
-    "prognosis": ("7_prognosis", "health-monitoring"), "published": (PUBLISHED, "maintenance-control"),
+    "raw": ("1_recorder_files", "flight-data"), "record": ("2_record", "flight-data"),
+    "legs": ("3_flight_legs", "flight-data"), "calibration": ("4_system_model", "thermal-models"),
+    "twin": ("5_twin", "thermal-models"), "residuals": ("6_residuals", "thermal-models"),
+    "features": ("7_health_alerts", "health-monitoring"), "prognosis": ("8_prognosis", "health-monitoring"),
+    "published": (PUBLISHED, "maintenance-control"),
 }  # fmt: skip
 """Label of each group in Dagster's graph, 16 characters at most, in the chain's order, and the team that owns it."""
 _TOOLS = {"calibration": "scipy", "twin": "numpy", "prognosis": "scikitlearn"}

@@ -14,6 +14,7 @@ from hdt_core.health.features import features as describe
 from hdt_core.health.residuals import residuals as compare
 from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.margin.exchanger_demand import exchanger_demand
+from hdt_core.records.keys import FLIGHT
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from hdt_core.tracking.track import track
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
@@ -43,6 +44,7 @@ def twin_health(
     raw_maintenance: pl.DataFrame,
     calibration_dsm: pl.DataFrame,
     raw_components: pl.DataFrame,
+    record_held: pl.DataFrame,
     legs_components: pl.DataFrame,
     calibration_components: pl.DataFrame,
 ) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
@@ -51,7 +53,8 @@ def twin_health(
     It continues from the last checkpoint before the new flights; a checkpoint lists the flights it includes.
     """
     stored = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
-    inputs, code = (raw_components, legs_components, calibration_components), LINEAGE["twin_health"].code
+    rows = raw_components.join(record_held, on=FLIGHT, how="anti", maintain_order="left")
+    inputs, code = (rows, legs_components, calibration_components), LINEAGE["twin_health"].code
     components, residuals = track_components(*inputs, raw_maintenance, home, stored, code)
     tracks = [components]
     if twin_flights.height:

@@ -16,7 +16,6 @@ from typing import Any
 import polars as pl
 
 from hdt_core.tables import TABLES
-from pipelines.intake.columns import AIRPORTS
 from pipelines.intake.faults import BREAKS_DECLARATION
 from pipelines.intake.landing_file import UNREAD, LandingFile, Registered, modified_at
 from pipelines.intake.merge import ACCOUNT, MergeResult, compare_redelivery, count_rows, merge_deliveries
@@ -65,7 +64,7 @@ def ingest_flights(
     quarantine = pl.concat([quarantine, result.quarantine])
     names = {"operator": pl.lit(aircraft[0]), "tail": pl.lit(aircraft[1])}
     return IngestResult(
-        result.rows.drop("row_in_file"),
+        result.rows,
         pl.concat([account, stored_rows.deliveries(result, with_rows)]).group_by(ACCOUNT).sum().with_columns(**names),
         pl.concat([quarantine, stored_rows.quarantine()], how="diagonal").with_columns(**names),
         inputs_changed,
@@ -205,22 +204,6 @@ def register_unread(
     if changed:
         ledger.register(changed, {})
     return bool(changed)
-
-
-def flights_of(rows: pl.DataFrame) -> pl.DataFrame:
-    """Summarize each flight in a row: its times, sources and numbers of rows."""
-    acms, cpl = pl.col("source") == "acms", pl.col("source") == "cpl"
-    one_source = pl.when(cpl.any()).then(pl.lit("cpl")).otherwise(pl.lit("acms"))
-    source = pl.when(acms.any() & cpl.any()).then(pl.lit("both")).otherwise(one_source)
-    times = pl.col("time_utc")
-    return rows.group_by("operator", "tail", "flight_id").agg(
-        times.min().alias("departed_at"),
-        times.max().alias("landed_at"),
-        source.alias("source"),
-        times.filter(acms).n_unique().cast(pl.Int64).alias("n_snapshots"),
-        times.filter(cpl).n_unique().cast(pl.Int64).alias("n_seconds"),
-        *(pl.col(c).sort_by("time_utc").drop_nulls().first() for c in AIRPORTS),
-    )
 
 
 def _check_balance(intake: Intake) -> None:

@@ -24,7 +24,7 @@ NO_FLIGHT = ("repeated_header", "bad_flight_id", "flight_id_contradicts_path")
 _COLUMN_OF = {
     "repeated_header": "", "bad_pack": "pack",
     **dict.fromkeys(("bad_flight_id", "flight_id_contradicts_path", "too_early"), "flight_id"),
-    **dict.fromkeys(("unreadable_time", "future_time", "time_contradicts_flight_id"), "report_time"),
+    **dict.fromkeys(("unreadable_time", "time_contradicts_flight_id"), "report_time"),
 }  # fmt: skip
 
 
@@ -77,7 +77,6 @@ def _row_reasons(raw: pl.DataFrame, files: Sequence[LandingFile], now: datetime,
     reason = (
         pl.when(pl.col("wrong_id").is_not_null()).then("wrong_id")
         .when(moment.is_null()).then(pl.lit("unreadable_time"))
-        .when(in_future(now)).then(pl.lit("future_time"))
         .when(~in_flight).then(pl.lit("time_contradicts_flight_id"))
         .when(~is_pack(pl.col("packs"))).then(pl.lit("bad_pack"))
     )  # fmt: skip

@@ -1,7 +1,8 @@
--- Which flights arrived, and what of them?
+-- Which flights arrived and are not held, and what of them?
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
 -- source: acms, cpl or both; component where only a declared component has a record of the flight
--- Grain: flight. Reads: tables.raw_flights, tables.legs_verdicts, tables.raw_components.
+-- Grain: flight. Reads: tables.raw_flights, tables.legs_verdicts, tables.raw_components,
+-- tables.record_held.
 create or replace view flights as
 with verdicts as (
     select
@@ -39,6 +40,7 @@ select
     (f.departed_at at time zone 'UTC')::date as departed_on
 from tables.raw_flights as f
 left join verdicts as v on f.operator = v.operator and f.flight_id = v.flight_id
+anti join tables.record_held as h on f.operator = h.operator and f.flight_id = h.flight_id
 union all
 select
     operator,

@@ -23,8 +23,8 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import read_header, views
 
 GROUPS = {
-    "1_recorder_files", "2_flight_legs", "3_system_model", "4_twin",
-    "5_residuals", "6_health_alerts", "7_prognosis", "8_catalog_report",
+    "1_recorder_files", "2_record", "3_flight_legs", "4_system_model", "5_twin",
+    "6_residuals", "7_health_alerts", "8_prognosis", "9_catalog_report",
 }  # fmt: skip
 
 

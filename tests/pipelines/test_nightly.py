@@ -118,7 +118,7 @@ def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, monkeypatch)
 
     monkeypatch.setattr(raw_assets, "ingest_flights", sick)
     night = run(landing, home)
-    assert list(night.failed) == ["flights and legs: AQX:LX-AAB"]
+    assert list(night.failed) == ["flights: AQX:LX-AAB"]
     assert "disk on fire" in next(iter(night.failed.values()))
     with connect(home) as con:
         stored = {f for (f,) in con.execute("select flight_id from flights").fetchall()}

@@ -91,7 +91,7 @@ class AtFirstBlock(Silent):
         self.label = label
 
     def advance(self, cells: int) -> None:
-        if self.label == "flights and legs" and self.what:
+        if self.label == "flights" and self.what:
             what, self.what = self.what, None
             what()
 
@@ -136,7 +136,7 @@ def test_an_aircraft_that_fails_is_told_and_the_others_are_made(fleet, monkeypat
     done = night_over(fleet)
     (where, why), *others = done.failed.items()
     assert others == []
-    assert where == f"flights and legs: {':'.join(operator.parts[-2:])}"
+    assert where == f"flights: {':'.join(operator.parts[-2:])}"
     assert "Not a directory" in why or "exists" in why
     assert fleet.rows("select count(distinct tail) from done where asset = 'legs_samples'") == [(3,)]
 

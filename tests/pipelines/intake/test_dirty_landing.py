@@ -38,7 +38,7 @@ EXPECTED: dict[str, tuple[str | None, str | None, int, int, int, str]] = {
     "AQX/LX-AAA/acms/LX-AAA_20240605_01.csv": ("not_a_number", "value", 38, 0, 114, "hx_in_degc"),
     "AQX/LX-AAB/acms/LX-AAB_20240603_02.csv": ("unit_kpa", "row", 186, 186, 0, "pt_psia"),
     "AQX/LX-AAA/acms/LX-AAA_20240605_02.csv": ("unit_kelvin", "row", 80, 80, 0, "tat_degc"),
-    "AQX/LX-AAB/acms/LX-AAB_20240604_01.csv": ("future_time", "row", 62, 62, 0, "report_time"),
+    "AQX/LX-AAB/acms/LX-AAB_20240604_01.csv": ("time_contradicts_flight_id", "row", 62, 62, 0, "report_time"),
     "AQX/LX-AAA/acms/LX-AAA_20240605_03.csv": ("unreadable_time", "row", 100, 100, 0, "report_time"),
     "AQX/LX-AAB/acms/LX-AAB_20240604_02.csv": ("bad_flight_id", "row", 1, 1, 55, "flight_id"),
     "AQX/LX-AAA/acms/LX-AAA_20240605_04.csv": ("flight_id_contradicts_path", "row", 108, 108, 0, "flight_id"),

@@ -1,0 +1,1 @@
+"""Judge whose flight it is, when, and which leg, before any physics."""

@@ -1,0 +1,73 @@
+"""Facts of a flight that its judgement needs, each from its recorded rows alone."""
+
+import polars as pl
+
+from hdt_core.flight.samples import CRUISE_FLOOR_M
+from hdt_core.records.keys import FLIGHT
+from hdt_core.tables.raw import SIGNALS
+
+AIRBORNE_MACH = 0.2
+"""Mach number above which an aircraft flies. [-]"""
+AIRPORTS = ("origin", "destination")
+
+
+def flight_facts(rows: pl.DataFrame) -> pl.DataFrame:
+    """Summarise each flight in a row: the columns of `raw_flights`.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Of `raw_snapshots` and `raw_logs`, with `row_in_file`, the row's place in its file.
+    """
+    acms = pl.col("source") == "acms"
+    cpl = pl.col("source") == "cpl"
+    one_source = pl.when(cpl.any()).then(pl.lit("cpl")).otherwise(pl.lit("acms"))
+    source = pl.when(acms.any() & cpl.any()).then(pl.lit("both")).otherwise(one_source)
+    times = pl.col("time_utc")
+    altitudes_m = pl.col("altitude_m").drop_nulls()
+    machs = pl.col("mach").drop_nulls()
+    ordered = rows.sort(*FLIGHT, "time_utc", "pack", "source")
+    flights = ordered.group_by(FLIGHT, maintain_order=True).agg(
+        times.min().alias("departed_at"),
+        times.max().alias("landed_at"),
+        source.alias("source"),
+        times.filter(acms).n_unique().cast(pl.Int64).alias("n_snapshots"),
+        times.filter(cpl).n_unique().cast(pl.Int64).alias("n_seconds"),
+        *(pl.col(c).drop_nulls().first() for c in AIRPORTS),
+        altitudes_m.first().alias("first_altitude_m"),
+        altitudes_m.last().alias("last_altitude_m"),
+        altitudes_m.max().alias("highest_altitude_m"),
+        altitudes_m.mean().alias("mean_altitude_m"),
+        machs.first().alias("first_mach"),
+        machs.last().alias("last_mach"),
+        machs.max().alias("highest_mach"),
+        pl.col("tat_k").mean().alias("mean_tat_k"),
+        pl.col("hx_in_k").mean().alias("mean_hx_in_k"),
+        pl.sum_horizontal(pl.col(SIGNALS).count()).cast(pl.Int64).alias("n_values"),
+    )
+    with_stops = flights.join(_ground_stops(ordered), on=FLIGHT, how="left", validate="1:1")
+    with_steps = with_stops.join(_backward_steps(rows), on=FLIGHT, how="left", validate="1:1")
+    return with_steps.with_columns(pl.col("ground_stop_s", "clock_back_s", "n_steps_back").fill_null(0))
+
+
+def _ground_stops(ordered: pl.DataFrame) -> pl.DataFrame:
+    """Find the longest time between two airborne rows in a row that are both low: `ground_stop_s`, or no row."""
+    airborne = ordered.filter(pl.col("mach") > AIRBORNE_MACH, pl.col("altitude_m").is_not_null())
+    is_low = pl.col("altitude_m") < CRUISE_FLOOR_M
+    both_low = is_low & is_low.shift()
+    gap_s = pl.when(both_low).then(pl.col("time_utc").diff().dt.total_seconds()).over(FLIGHT)
+    gaps = airborne.with_columns(gap_s.alias("gap_s"))
+    return gaps.group_by(FLIGHT).agg(pl.col("gap_s").max().alias("ground_stop_s"))
+
+
+def _backward_steps(rows: pl.DataFrame) -> pl.DataFrame:
+    """Find the largest step back of the clock, pack by pack in the order of each file, and count such steps."""
+    in_file = ("file", "source", "pack")
+    ordered = rows.sort(*FLIGHT, *in_file, "row_in_file")
+    step_s = pl.col("time_utc").diff().dt.total_seconds().over(*FLIGHT, *in_file)
+    back_s = pl.when(pl.col("row_in_file") > pl.col("row_in_file").shift()).then(-step_s).clip(0)
+    packs = ordered.with_columns(back_s.alias("back_s")).group_by(*FLIGHT, *in_file)
+    largest = packs.agg(pl.col("back_s").max(), (pl.col("back_s") > 0).sum().cast(pl.Int64).alias("n"))
+    return largest.group_by(FLIGHT).agg(
+        pl.col("back_s").max().alias("clock_back_s"), pl.col("n").max().alias("n_steps_back")
+    )

@@ -1,0 +1,39 @@
+"""Judge the stored record of a home: which flights are held, since when and by which file."""
+
+from datetime import UTC, datetime
+
+import polars as pl
+
+from hdt_core.record.judge import judge_flights
+from hdt_core.records.keys import AIRCRAFT, FLIGHT
+from pipelines.lineage import HELD
+from pipelines.storage.ledger import Ledger
+from pipelines.storage.store import Store
+
+
+def judge_record(ledger: Ledger) -> pl.DataFrame:
+    """Judge all stored flights by the present record and clock: rows of `record_held`."""
+    flights = Store(ledger.home).read_table("raw_flights")
+    held = judge_flights(flights, datetime.now(UTC))
+    if held.is_empty():
+        return held
+    files = ledger.of(held.select("operator", "tail").unique().rows()).flight_files().sort("path")
+    received_at = pl.from_epoch(pl.col("mtime_ns").first() // 1_000_000_000).dt.replace_time_zone("UTC")
+    first_files = files.group_by(FLIGHT).agg(pl.col("path").first().alias("file"), received_at.alias("held_since"))
+    named = held.drop("file", "held_since").join(first_files, on=FLIGHT, how="left", validate="1:1")
+    return named.select(held.columns).sort(*FLIGHT)
+
+
+def held_flights(ledger: Ledger) -> pl.DataFrame:
+    """Read the held flights, of all aircraft or those of the ledger: rows of `record_held`."""
+    held = Store(ledger.home).read_table(HELD)
+    if ledger.only is None:
+        return held
+    aircraft = pl.DataFrame(ledger.only, schema=AIRCRAFT, orient="row")
+    return held.join(aircraft, on=AIRCRAFT, how="semi")
+
+
+def is_any_due(ledger: Ledger) -> bool:
+    """Return whether the clock has passed the time of a flight that was held for lying after it."""
+    held = Store(ledger.home).read_table(HELD)
+    return not held.filter(pl.col("reason") == "after_clock", pl.col("landed_at") <= datetime.now(UTC)).is_empty()
