@@ -21,7 +21,7 @@ from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases, odds_abov
 from hdt_core.components import Component
 from hdt_core.health.detection import persistent
 from hdt_core.health.features import features
-from hdt_core.records.keys import PACK
+from hdt_core.records.keys import LEG_AT, PACK
 from hdt_core.records.unit_index import NEW_UNIT, select_entries
 
 REPEAT_DAYS = 90
@@ -185,7 +185,7 @@ def trials(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | N
             yield Trial(diagnosis, name, value, value == getattr(limits, name), alerts)
 
 
-KEYS = ["operator", "tail", "flight_id", "pack", "departed_at", "flight_index", "flights_seen_of_unit"]
+KEYS = [*LEG_AT, "flight_index", "flights_seen_of_unit", "flights_since_drop"]
 TRENDS = ("sd", "status", "slope_10_per_flight", "slope_30_per_flight", "slope_100_per_flight", "jump_10", "step_3")
 """Columns of the loss beside its value, each prefixed with the loss's name."""
 

@@ -16,8 +16,10 @@ from hdt_core.records.unit_index import number_units
 from hdt_core.tables.base import DatedLegTable, finite
 from hdt_core.tables.features import HEALTH
 
-HORIZONS = (10, 30, 100)
-"""Flights over which trends are taken."""
+SHORT_HORIZONS, WEAR_HORIZON = (10, 30), 100
+"""Flights over which trends are taken; the rate of wear follows from the longest."""
+DROP, DROP_FLIGHTS = 0.035, 3
+"""Fall of a tracked loss over so many flights that no noise makes: a trend before it is that of another state. [-]"""
 LOSSES = ("hx_fouling", "hx_life", "cc_diameter_loss", "cc_diameter_loss_sd", "cc_life")
 FLIGHT_ESTIMATES = ("ln_ua_ratio", "diameter_m", "expected_diameter_m")
 """Inputs of the margins: tracked losses, and estimates from single flights."""
@@ -73,8 +75,14 @@ def features(
     wide = since_maintenance(wide, maintenance, components)
     if demand is not None and twin_flights is not None:
         wide = wide.join(_margins(wide, twin_flights, demand), on=LEG, how="left", validate="m:1")
-    trends = [e for name in health for e in trend(name, [*PACK, f"{_component(name)}_life"])]
-    wide = wide.with_columns(trends).with_columns(_jumps(wide.columns, health[0]))
+    loss, *others = health
+    life = [*PACK, f"{_component(loss)}_life"]
+    wide = wide.with_columns(_last_drop(loss).over(life).alias("drop"))
+    wide = wide.with_columns(pl.int_range(pl.len()).over([*life, "drop"]).alias("flights_since_drop"))
+    trends = [*trend(loss, life, SHORT_HORIZONS), *trend(loss, [*life, "drop"], [WEAR_HORIZON])]
+    horizons = (*SHORT_HORIZONS, WEAR_HORIZON)
+    trends += [e for name in others for e in trend(name, [*PACK, f"{_component(name)}_life"], horizons)]
+    wide = wide.with_columns(trends).drop("drop").with_columns(_jumps(wide.columns, health[0]))
     if demand is not None and "hx_ln_ua_ratio" in wide.columns:
         wide = wide.join(passages(wide, demand), on=LEG, how="left", validate="m:1")
     lives = [f"{component}_life" for component in components]
@@ -166,8 +174,14 @@ def since_maintenance(
     )
 
 
-def trend(name: str, by: Sequence[str]) -> list[pl.Expr]:
-    """Return least-squares slopes per flight over a unit's last flights, by horizon; null below four values."""
+def _last_drop(loss: str) -> pl.Expr:
+    """Return the flight index of the last drop of a loss, null before the first: a wash, or work that is on no log."""
+    is_drop = pl.col(loss).shift(DROP_FLIGHTS) - pl.col(loss) > DROP
+    return pl.when(is_drop).then("flight_index").forward_fill()
+
+
+def trend(name: str, by: Sequence[str], horizons: Sequence[int]) -> list[pl.Expr]:
+    """Return least-squares slopes per flight over the last flights of a group, by horizon; null below four values."""
     index = pl.when(pl.col(name).is_not_null()).then(pl.col("flight_index").cast(pl.Float64))
     x = index - index.mean().over(by)  # keeps the sums of squares well conditioned
     y = pl.col(name)
@@ -175,9 +189,9 @@ def trend(name: str, by: Sequence[str]) -> list[pl.Expr]:
     def mean(e: pl.Expr, n: int) -> pl.Expr:
         return e.rolling_mean(n, min_samples=4)
 
-    slopes = [(mean(x * y, n) - mean(x, n) * mean(y, n)) / (mean(x * x, n) - mean(x, n) ** 2) for n in HORIZONS]
+    slopes = [(mean(x * y, n) - mean(x, n) * mean(y, n)) / (mean(x * x, n) - mean(x, n) ** 2) for n in horizons]
     return [
-        s.fill_nan(None).over(by).alias(f"{name}_slope_{n}_per_flight") for s, n in zip(slopes, HORIZONS, strict=True)
+        s.fill_nan(None).over(by).alias(f"{name}_slope_{n}_per_flight") for s, n in zip(slopes, horizons, strict=True)
     ]
 
 

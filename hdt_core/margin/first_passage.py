@@ -157,7 +157,7 @@ def passages(flights: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
     ----------
     flights : DataFrame
         One row a flight and pack in order of departure: operator, tail, pack, flight_id, `hx_ln_ua_ratio`,
-        `hx_fouling`, `hx_fouling_slope_100_per_flight`, `flights_seen_of_unit`.
+        `hx_fouling`, `hx_fouling_slope_100_per_flight`, `flights_since_drop`.
     demand : DataFrame
         Of `exchanger_demand`.
 
@@ -176,11 +176,11 @@ def passages(flights: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
     curves = np.full((pack.max() + 1, flight.max() + 1, len(EXCESS_K)), np.nan)
     curves[pack, flight] = rows.select(CRITICAL[: len(EXCESS_K)]).to_numpy().astype(float)
     quantiles = demand_quantiles(repeated_demand(at_excess(curves, PRIOR_RULE.excess_k), PRIOR_RULE.of), pack, flight)
-    ratio, loss, slope, flights_of_unit = (
+    ratio, loss, slope, flights_before = (
         rows[c].cast(pl.Float64).to_numpy()
-        for c in ("hx_ln_ua_ratio", "hx_fouling", "hx_fouling_slope_100_per_flight", "flights_seen_of_unit")
+        for c in ("hx_ln_ua_ratio", "hx_fouling", "hx_fouling_slope_100_per_flight", "flights_since_drop")
     )
-    n_flights = np.where(np.isnan(slope), 2.0, flights_of_unit + 1.0)
+    n_flights = np.where(np.isnan(slope), 2.0, flights_before + 1.0)
     rate = wear_rate(np.nan_to_num(slope) / np.maximum(1.0 - loss, 0.2), n_flights)
     levels = np.stack([quantiles[name] for name in DEMAND_NAMES[: len(LEVELS)]], axis=1)
     chance = passage(ratio, np.full(ratio.size, RATIO_SD), levels, *rate, np.array(EDGES))

@@ -21,7 +21,7 @@ from hdt_core.robust import Array
 
 KEYS = ["operator", "tail", "flight_id", "pack", "component", "departed_at"]
 QUANTILE_LEVELS = {"rul_low": 0.05, "rul_flights": 0.5, "rul_high": 0.95}
-LOSS_COLUMNS = ("loss", "loss_sd", "loss_slope_100_per_flight", "flights_seen_of_unit")
+LOSS_COLUMNS = ("loss", "loss_sd", "loss_slope_100_per_flight", "flights_since_drop")
 
 
 def component_prognoses(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from hdt_core.health.features import DROP, DROP_FLIGHTS
 from hdt_core.margin.first_passage import DEMAND_NAMES, LEVELS, RATIO_SD, demand_quantiles, passage, wear_rate
 from hdt_core.robust import Array
 
@@ -43,7 +44,6 @@ HOT_K = 3.0
 """A flight whose hottest fifth is this far above its level was hot: twice the scatter of a sound one. [K]"""
 _EDGES = np.array([0.0, 10.0, 25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0])
 _FAR = 1000.0
-_DROP = 0.035  # loss: larger than any noise of a filtered track over three flights
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,7 @@ def _lag(values: Array, flights: int) -> Array:
 def _segment_start(level: Array) -> Index:
     """Return the flight on which the current segment began: entry, or the last drop (a wash, a change not logged)."""
     k = np.broadcast_to(np.arange(level.shape[1]), level.shape)
-    is_drop = np.nan_to_num(_lag(level, 3) - level) > _DROP
+    is_drop = np.nan_to_num(_lag(level, DROP_FLIGHTS) - level) > DROP
     return np.asarray(np.maximum.accumulate(np.where(is_drop, k, 0), axis=1))
 
 

@@ -185,6 +185,10 @@ def _of_margin() -> Iterator[tuple[str, Declared]]:
 def _of_life() -> Iterator[tuple[str, Declared]]:
     yield "flights_since_replacement", (dy.Int64, "-", "flights of this exchanger; null before the first logged")
     yield "flights_seen_of_unit", (dy.Int64, "-", "flights of this exchanger on record")
+    yield (
+        "flights_since_drop",
+        (dy.Int64, "-", "flights since its fouling last fell as after work, or of this exchanger"),
+    )
     for name, (unit, _) in HEALTH.items():
         per_flight = f"{unit}/flight" if unit != "-" else "1/flight"
         for n in (10, 30, 100):

@@ -216,6 +216,7 @@ class FeaturesComponents(_Leg):
     departed_at = moment("first recorded time")
     flight_index = column(dy.Int64, "the tail's flights, from 0")
     flights_seen_of_unit = column(dy.Int64, "flights of the unit before this", nullable=True)
+    flights_since_drop = column(dy.Int64, "flights before this since the loss last fell, or of the unit", nullable=True)
     loss = number("loss after this flight, from no later one; 0 as built, larger is worse")
     loss_sd = number("standard deviation of it", low=0)
     loss_status = text("how that estimate ended")

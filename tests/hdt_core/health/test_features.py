@@ -8,7 +8,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
-from hdt_core.health.features import features, residual_column, since_maintenance, virtual_sensors
+from hdt_core.health.features import DROP, DROP_FLIGHTS, features, residual_column, since_maintenance, virtual_sensors
 from hdt_core.tables.twin import Residuals
 
 START = datetime(2024, 3, 1, 6, tzinfo=UTC)
@@ -63,6 +63,24 @@ def test_slopes_are_least_squares_over_gaps_from_four_values_on(nothing_done) ->
     slope = described(health(0.001 * np.arange(6.0)), nothing_done)["hx_fouling_slope_10_per_flight"]
     assert slope.to_list()[:3] == [None] * 3
     assert slope.to_list()[3:] == pytest.approx([0.001] * 3)
+
+
+def test_trend_begins_anew_after_an_unlogged_recovery(nothing_done) -> None:
+    loss = 0.001 * np.arange(100.0) - 0.06 * (np.arange(100) >= 60)
+
+    last = described(health(loss), nothing_done).row(-1, named=True)
+
+    assert last["hx_fouling_slope_100_per_flight"] == pytest.approx(0.001, rel=1e-6)
+    assert last["flights_since_drop"] == 100 - 60 - DROP_FLIGHTS
+
+
+@pytest.mark.parametrize(("fall", "flights"), [(0.99 * DROP, 99), (1.01 * DROP, 100 - 60 - DROP_FLIGHTS)])
+def test_noise_is_no_drop(nothing_done, fall, flights) -> None:
+    loss = 0.2 - fall * (np.arange(100) >= 60)
+
+    last = described(health(loss), nothing_done).row(-1, named=True)
+
+    assert last["flights_since_drop"] == flights
 
 
 def late_step(loss: np.ndarray, k: int) -> float:

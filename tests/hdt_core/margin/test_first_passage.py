@@ -86,7 +86,7 @@ def one_pack(**columns: list[float | None]) -> pl.DataFrame:
 def test_passages_of_a_pack_by_the_rule_before_any_message():
     flights = one_pack(
         hx_ln_ua_ratio=[-0.05, 0.15, 0.20, 0.10], hx_fouling=[0.1, 0.1, 0.9, 0.2],
-        hx_fouling_slope_100_per_flight=[0.001, None, 0.0004, 0.0006], flights_seen_of_unit=[5, 50, 29, 200],
+        hx_fouling_slope_100_per_flight=[0.001, None, 0.0004, 0.0006], flights_since_drop=[5, 50, 29, 200],
     )  # fmt: skip
     # critical ratios fall by .026 a kelvin; the rule is 7 K, twice in three flights
     level = [-0.10, -0.06, -0.04, -0.08]
@@ -107,7 +107,7 @@ def test_passages_of_a_pack_by_the_rule_before_any_message():
 
 def test_no_flight_no_passage_no_trend_before_140_and_few_stand_for_the_window():
     columns = {"hx_ln_ua_ratio": [0.0], "hx_fouling": [0.0], "hx_fouling_slope_100_per_flight": [0.0]}
-    none = one_pack(**columns, flights_seen_of_unit=[1]).clear()
+    none = one_pack(**columns, flights_since_drop=[1]).clear()
     keys = none.select("operator", "tail", "pack", "flight_id")
     demand = keys.with_columns(pl.lit(0.0).alias(n) for n in CRITICAL[:5])
     assert passages(none, demand).columns == ["operator", "tail", "flight_id", "pack", *PASSAGES]

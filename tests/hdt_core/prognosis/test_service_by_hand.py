@@ -260,7 +260,7 @@ def test_a_first_passage_is_spread_between_its_horizons():
 def test_a_units_own_trend_counts_by_the_flights_it_was_seen_over(slope, n_seen, flights):
     part = components()["CC"]
     rows = pl.DataFrame(
-        {"loss": [0.1], "loss_sd": [0.01], "loss_slope_100_per_flight": [slope], "flights_seen_of_unit": [n_seen]},
+        {"loss": [0.1], "loss_sd": [0.01], "loss_slope_100_per_flight": [slope], "flights_since_drop": [n_seen]},
         schema_overrides={"loss_slope_100_per_flight": pl.Float64},
     )
     limit = (np.array([0.25]), np.array([0.08]))

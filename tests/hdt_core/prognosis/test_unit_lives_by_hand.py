@@ -135,7 +135,7 @@ CC = components()["CC"]
 
 
 def described(n: int, tail: str, loss: float) -> pl.DataFrame:
-    own = {"component": "CC", "loss_sd": 0.01, "loss_slope_100_per_flight": 2e-4, "flights_seen_of_unit": 29}
+    own = {"component": "CC", "loss_sd": 0.01, "loss_slope_100_per_flight": 2e-4, "flights_since_drop": 29}
     return flown(n, tail, loss=loss, **own)
 
 
