@@ -20,7 +20,7 @@ from pipelines.orchestration import nightly
 def stages_that_read() -> Iterator[None]:
     """Nights go as far as the legs: what follows reads no file."""
     with pytest.MonkeyPatch.context() as within:
-        within.setattr(nightly, "STAGES", [stage for stage in STAGES if stage.group in ("raw", "legs")])
+        within.setattr(nightly, "STAGES", [stage for stage in STAGES if stage.group in ("raw", "record", "legs")])
         yield
 
 
