@@ -67,7 +67,8 @@ def raw_records(scope: PartitionScope, home: Home) -> StageResult:
     stored = {table: scope.read_table(home.store, table) for table in STAGE["raw_records"].tables}
     stored["raw_maintenance"] = pl.concat(
         # the case log has findings
-        [stored["raw_maintenance"].filter(pl.col("source") != CASE), stored["raw_maintenance_not_done"]]
+        [stored["raw_maintenance"].filter(pl.col("source") != CASE), stored["raw_maintenance_not_done"]],
+        how="diagonal",
     )
     landing = Path(home.landing)
     files = landing_files(landing, listing)

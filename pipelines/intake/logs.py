@@ -289,7 +289,7 @@ def or_stored(intake: FileIntake, stored: pl.DataFrame) -> FileIntake:
     """Return what was read of a log, or the rows `stored` of its earlier version where it has no good row now."""
     if intake.rows.height:
         return intake
-    rows = stored.select(intake.rows.columns)
+    rows = pl.concat([intake.rows.clear(), stored], how="diagonal").select(intake.rows.columns)  # of an older version
     return replace(intake, rows=rows, n_delivered=intake.n_delivered + rows.height)
 
 
