@@ -7,6 +7,7 @@ from typing import Any
 
 import polars as pl
 
+from hdt_core.alerts.succession import KINDS_OF_NIGHT
 from hdt_core.loading import UserError
 from pipelines.storage.cases import FAULTS, NO_FAULT, CaseLog
 from pipelines.storage.catalog import connect, fetch_dicts
@@ -27,7 +28,15 @@ LONGEST_MUTE = timedelta(days=366)
 KINDS = ("acknowledge", "assign", "mute", "watch", "unwatch", "close", "reopen")
 Case = Mapping[str, Any]
 _ALERT = ("alert_id", "operator", "tail", "pack", "component", "diagnosis")
-_STATE_THEN = {"severity_then": "severity", "loss_then": "now_loss", "p_event_50_then": "now_p_event_50"}
+_STATE_THEN = {
+    "case_id": "case_id",
+    "sensor": "sensor",
+    "severity_then": "severity",
+    "loss_then": "now_loss",
+    "p_event_50_then": "now_p_event_50",
+    "raised_then": "raised_at",
+    "last_then": "open_until",
+}
 _OPEN_ONLY = ("acknowledge", "assign", "mute")
 _MAX_TEXT, _MAX_NAME = 1000, 80
 
@@ -181,8 +190,9 @@ def _effect(kind: str, body: Mapping[str, Any]) -> str:
     return f"{head} It stays open, confirmed, until the part is cleaned or replaced; the next night counts it as a hit."
 
 
-_DEFINITION = "create or replace view cases as"
 OPEN = "state != 'closed'"
+_LIVE = ("alert_cases", "cases")
+"""Views of the log of cases, the second of the first."""
 
 
 def list_cases(home: Path, where: str = OPEN, **values: Any) -> list[dict[str, Any]]:
@@ -193,38 +203,52 @@ def list_cases(home: Path, where: str = OPEN, **values: Any) -> list[dict[str, A
     home : Path
         Holds the catalog and the log of cases.
     where : str
-        SQL condition over the view's columns and those of `alert_states`, written by us.
+        SQL condition over the view's columns and those of `alert_states`, written by us; `names` lists the ids by which
+        a case is known.
     values : Any
         Values of its `$name` places.
     """
-    query = views()["cases"].partition(_DEFINITION)[2].strip().removesuffix(";")
-    query = query.replace("tables.raw_cases", "case_log_rows")
+    live = ", ".join(f"{name} as ({_query_of(name)})" for name in _LIVE)
     with connect(home) as con:
         con.register("case_log_rows", CaseLog(home).entries().to_arrow())
         result = con.execute(
-            f"""select c.*, s.now_loss, s.now_p_event_50, s.evidence_now, s.recommended_action, s.follows
-            from ({query}) as c
-            join alert_states as s using (alert_id) left join open_alerts as o using (alert_id)
+            f"""with {live}, known as (select alert_id, list(known_as) as names from alert_cases group by alert_id)
+            select c.*, s.sensor, s.now_loss, s.now_p_event_50, s.evidence_now, s.recommended_action, s.follows,
+            k.names, coalesce(s.closed_at, s.now_departed_at) as open_until
+            from cases as c
+            join alert_states as s using (alert_id) join known as k using (alert_id)
+            left join open_alerts as o using (alert_id)
             where {where} order by o.place nulls last, c.raised_at, c.alert_id""",
             values,
         )
         return fetch_dicts(result)
 
 
-def find_case(home: Path, alert_id: str) -> dict[str, Any]:
-    """Return the case with this alert id, or the only one whose id starts so.
+def _query_of(view: str) -> str:
+    """Return a view's query, over the log of cases as it is now."""
+    query = views()[view].partition(f"create or replace view {view} as")[2].strip().removesuffix(";")
+    return query.replace("tables.raw_cases", "case_log_rows")
+
+
+NAMED = "c.alert_id in (select alert_id from alert_cases where known_as = $id)"
+_NAMED_SO = "c.alert_id in (select alert_id from alert_cases where starts_with(known_as, $id))"
+
+
+def find_case(home: Path, name: str) -> dict[str, Any]:
+    """Return the case of this id, or the only one whose id, or whose alert's id of now or before, starts so.
 
     Raises
     ------
     UserError
-        No alert id, or several, start so.
+        No id, or those of several cases, start so.
     """
-    cases = list_cases(home, "starts_with(c.alert_id, $id)", id=alert_id) if alert_id else []
+    cases = (list_cases(home, NAMED, id=name) or list_cases(home, _NAMED_SO, id=name)) if name else []
     if len(cases) != 1:
-        raise UserError(f"{'several alerts' if cases else 'no alert'} {alert_id}; `hdt case list` names them")
+        raise UserError(f"{'several alerts' if cases else 'no alert'} {name}; `hdt case list` names them")
     return cases[0]
 
 
-def history_of(home: Path, alert_id: str) -> list[dict[str, Any]]:
-    """Return an alert's lines of the case log, oldest first: rows of `raw_cases`."""
-    return CaseLog(home).entries().filter(pl.col("alert_id") == alert_id).sort("line").to_dicts()
+def history_of(home: Path, case: Case) -> list[dict[str, Any]]:
+    """Return a case's lines of the log by people, oldest first: rows of `raw_cases`."""
+    own = pl.col("case_id").is_in(case["names"]) & ~pl.col("kind").is_in(KINDS_OF_NIGHT)
+    return CaseLog(home).entries().filter(own).sort("line").to_dicts()

@@ -139,9 +139,8 @@ STAGES = (
     Stage("raw_records", "raw", {
         "raw_messages": Recipe(files=("messages",), code="4"),
         **dict.fromkeys(
-            ("raw_maintenance", "raw_maintenance_not_done"), Recipe(files=("maintenance", "findings"), code="6")
+            ("raw_maintenance", "raw_maintenance_not_done"), Recipe(files=("maintenance", "findings"), code="7")
         ),
-        "raw_cases": Recipe(files=("cases",)),
         "raw_reports": Recipe(files=("reports",)),
         **dict.fromkeys(("raw_records_deliveries", "raw_records_quarantine"), Recipe(files=RECORD_FILES, code="4")),
     }, untracked=("raw_fleet",), label="messages and maintenance"),
@@ -199,7 +198,10 @@ STAGES = (
         code="8", fresh="features",
     ),
     declare_stage(
-        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="20",
+        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="21",
+    ),
+    declare_stage(  # after the alerts, whose stage notes in the log which case goes on with which of them
+        "raw_cases", "features", "raw_cases", parents=("features_alerts",), files=("cases",), code="2",
     ),
     declare_stage("declared_components", "raw", "components", code=DECLARED),
     declare_stage("prognosis_base", "prognosis", "prognosis_base", code="4", label="prognosis"),

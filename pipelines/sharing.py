@@ -33,7 +33,8 @@ _TIME = "%Y-%m-%dT%H:%M:%S%.fZ"
 WITHHELD = "[withheld]"
 _TAILS = ("tail",)
 _FLIGHTS = ("flight_id", "raised_flight_id", "now_flight_id", "first_flight_id", "end_flight_id")
-_IDENTITIES = ("alert_id", "follows", "closes_alert_id", "reference", "msn", "file", "serial_off", "serial_on")
+_ALERT_IDS = ("alert_id", "case_id", "known_as", "follows", "closes_alert_id")
+_IDENTITIES = (*_ALERT_IDS, "reference", "msn", "file", "serial_off", "serial_on")
 """Replaced by a keyed hash: names of parts, documents and files, each of which identifies an aircraft."""
 _VERBATIM = ("detail", "content", "delivered_on", "origin", "destination", "person", "assignee", "note")
 """Left out under pseudonyms: contents of a rejected file; an aircraft's day of delivery; its route; the people and
@@ -80,7 +81,7 @@ class AccessScope:
             frame = frame.with_columns(pl.lit(None, frame.schema[c]).alias(c) for c in _VERBATIM if c in frame.columns)
             for columns, rename in ((_TAILS, self.pseudonym), (_FLIGHTS, self._flight), (_IDENTITIES, self._identity)):
                 frame = frame.with_columns(_rename_distinct(frame[c], rename) for c in columns if c in frame.columns)
-        identities = _IDENTITIES if self.key is not None else ("alert_id", "follows", "closes_alert_id")
+        identities = _IDENTITIES if self.key is not None else _ALERT_IDS
         exempt = {*_TAILS, *_FLIGHTS, *_CODES, *identities}
         texts = [c for c, t in frame.schema.items() if t == pl.String and c not in exempt and not c.endswith("_status")]
         return frame.with_columns(self._redact_text(pl.col(c)) for c in texts) if texts else frame

@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.alerts import phrases
-from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, case_id, open_flights, runs
+from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, alert_id_of, open_flights, runs, sensor_of
 from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis, apply_inspections, close_after_work
 from hdt_core.alerts.disturbances import Disturbances, door_cases, find_disturbances
 from hdt_core.alerts.evidence import HIGH_SEVERITY_SHARE, declared_loss
@@ -34,7 +34,7 @@ Replacements = dict[tuple[Any, ...], list[datetime]]
 
 SCHEMA: dict[str, Any] = {
     "alert_id": pl.String, "operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String,
-    "diagnosis": pl.String, "raised_flight_id": pl.String, "raised_at": pl.Datetime("us", "UTC"),
+    "diagnosis": pl.String, "sensor": pl.String, "raised_flight_id": pl.String, "raised_at": pl.Datetime("us", "UTC"),
     "closed_at": pl.Datetime("us", "UTC"), "severity": pl.String, "evidence": pl.String,
     "recommended_action": pl.String, "raised_severity": pl.String, "now_flight_id": pl.String,
     "evidence_now": pl.String, "closed_reason": pl.String, "follows": pl.String, "units_in_90_days": pl.Int64,
@@ -55,7 +55,7 @@ def raise_alerts(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limi
     Returns
     -------
     DataFrame
-        The columns of the catalog's `alerts`. A case keeps its `alert_id` however much later data arrives.
+        The columns of the catalog's `alerts`. `alert_id` is a function of the data: `alerts.succession` follows a case.
     """
     if features.is_empty():
         return pl.DataFrame(schema=SCHEMA)
@@ -101,7 +101,7 @@ def _alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnos
     at_raise, latest = (kind.facts(grid, case, flight) for flight in (case.raised_flight, last))
     units = _count_units(grid, replacements, case, kind)
     return (
-        case_id(grid, case), operator, tail, pack, case.component, case.diagnosis,
+        alert_id_of(grid, case), operator, tail, pack, case.component, case.diagnosis, sensor_of(case),
         grid.value("flight_id", case.unit, case.raised_flight),
         grid.value("departed_at", case.unit, case.raised_flight),
         case.ended_at if end is None else grid.value("departed_at", case.unit, end),

@@ -241,8 +241,13 @@ def fact_after(name: str, values: Array) -> Callable[[int], dict[str, float]]:
     return lambda flight: {name: float(values[flight])}
 
 
-def case_id(grid: Grid, case: Case) -> str:
-    """Return the name of a case in the catalog, which later data do not change."""
+def sensor_of(case: Case) -> str | None:
+    """Return the sensor at fault or, of a loss that was found clean, the component; None for other diagnoses."""
+    return case.facts.get("sensor", case.facts.get("of"))
+
+
+def alert_id_of(grid: Grid, case: Case) -> str:
+    """Return the name of the alert: another where its first flight is another."""
     unit = map(str, grid.units.row(case.unit))
     flight_id = str(grid.value("flight_id", case.unit, case.raised_flight))
     name = "|".join((*unit, case.component, case.diagnosis, flight_id, str(case.facts.get("sensor", ""))))

@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.alerts import evidence
-from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, case_id, fact_after, runs
+from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, alert_id_of, fact_after, runs, sensor_of
 from hdt_core.alerts.evidence import Evidence, Facts
 from hdt_core.alerts.wear import RISE_MARGIN
 from hdt_core.components.pack import CC, HX
@@ -177,11 +177,19 @@ def close_after_work(
             if diagnosis.ended_by_sound:
                 _close(grid, own, sound_entries, diagnosis.component, INSPECTIONS, FOUND_CLEAN)
     if "closes_alert_id" in sound_entries.columns:
-        entries_by_id = sound_entries.drop_nulls("closes_alert_id").partition_by("closes_alert_id", as_dict=True)
-        for case in cases if entries_by_id else []:
-            if (entries := entries_by_id.get((case_id(grid, case),))) is not None:
+        closings = sound_entries.drop_nulls("closes_alert_id")
+        for case in cases if closings.height else []:
+            entries = closings.filter(_closes(grid, case))
+            if entries.height:
                 _close(grid, [case], entries, case.component, INSPECTIONS, FOUND_CLEAN)
     return cases
+
+
+def _closes(grid: Grid, case: Case) -> pl.Expr:
+    """Select closings of this case: of its diagnosis and sensor, as its id may have changed since, or of its id."""
+    same_sensor = pl.col("closes_sensor").eq_missing(pl.lit(sensor_of(case), pl.String))
+    same_kind = (pl.col("closes_diagnosis") == case.diagnosis) & same_sensor
+    return same_kind | (pl.col("closes_alert_id") == alert_id_of(grid, case))
 
 
 def _sound_entries(maintenance: pl.DataFrame) -> pl.DataFrame:
@@ -260,7 +268,7 @@ def _contradictions(grid: Grid, maintenance: pl.DataFrame, case: Case, limits: L
     has_grown = persistent(growth > RISE_MARGIN, *limits.wear_persistence, keep=growth > 0.5 * RISE_MARGIN)
     facts = {
         "kind": "contradicted", "since": start, "of": case.component, "level": level,
-        "looked_on": _inspection_day(grid, maintenance, case), "follows": case_id(grid, case),
+        "looked_on": _inspection_day(grid, maintenance, case), "follows": alert_id_of(grid, case),
     }  # fmt: skip
     for _, first, stop in runs(has_grown, np.zeros_like(has_grown)):
         last = end if end < loss.size else None

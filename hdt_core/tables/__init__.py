@@ -78,7 +78,7 @@ TABLES: dict[str, StoredTable] = {
     ),
     "raw_checks": StoredTable(raw.RawChecks, "fleet", ("operator", "tail", "planned_on", "name")),
     "raw_costs": StoredTable(raw.RawCosts, "fleet", ("component", "item")),
-    "raw_cases": StoredTable(raw.RawCases, "aircraft", ("line",)),
+    "raw_cases": StoredTable(raw.RawCases, "aircraft", ("line", "id")),
     "raw_records_deliveries": StoredTable(raw.RawDeliveries, "aircraft", ("file",), whole=True),
     "raw_records_quarantine": StoredTable(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
     "raw_fleet": StoredTable(raw.RawFleet, "fleet", ("operator", "tail")),

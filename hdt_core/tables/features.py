@@ -278,7 +278,7 @@ FeaturesMargin = cast(
 class FeaturesAlerts(Table):
     """One case that needs a person's attention."""
 
-    alert_id = text("stable name of the case", nullable=False, primary_key=True)
+    alert_id = text("hash of pack, diagnosis, sensor and first flight", nullable=False, primary_key=True)
     operator = operator_key(primary_key=False)
     tail = text("aircraft", nullable=False)
     pack = pack_key()
@@ -288,6 +288,7 @@ class FeaturesAlerts(Table):
         "component",
         nullable=False,
     )
+    sensor = text("SENSOR_FAULT: sensor at fault or, where a loss was found clean, the component; null for others")
     raised_flight_id = text("flight after which it was raised", nullable=False)
     raised_at = moment("departure of that flight")
     closed_at = moment(

@@ -188,7 +188,13 @@ class RawMaintenance(AircraftRows):
     serial_on = text("serial number of the unit that went on, where the log gives it")
     status = text("COMPLETED, CLOSED, DONE or nothing, as the log gives it; raw_maintenance_not_done has any other")
     source = text("log: the maintenance log; case: an engineer who closed an alert")
-    closes_alert_id = text("alert that an engineer closed with this finding")
+    closes_alert_id = text("alert that an engineer closed with this finding, by the id it had then")
+    closes_diagnosis = text("its diagnosis")
+    closes_sensor = text("its sensor, as in the table of alerts")
+
+
+CLOSES = {"closes_alert_id": "alert_id", "closes_diagnosis": "diagnosis", "closes_sensor": "sensor"}
+"""Columns of `raw_maintenance` on the alert that work closed, and those of an alert that they are."""
 
 
 class RawMaintenanceNotDone(RawMaintenance):
@@ -216,18 +222,27 @@ class RawCosts(Table):
 
 
 class RawCases(Table):
-    """One action of a person on an alert; entries are never changed or removed."""
+    """One action of a person on an alert, or the night's note that a case goes on; entries are never removed."""
 
-    line = column(dy.Int64, "line of the log, from 1", primary_key=True)
+    id = text(
+        "the line's own id, random; of a line from before there were ids a hash of it", nullable=False, primary_key=True
+    )
+    line = column(dy.Int64, "place in the log, from 1")
     at = moment("when")
-    alert_id = text("stable name of the case", nullable=False)
+    case_id = text("stable name of the case: the first id of its alert", nullable=False)
+    alert_id = text("the case's alert, by the id it had then", nullable=False)
     operator = operator_key(primary_key=False)
     tail = tail_key(primary_key=False)
     pack = column(dy.Int32, "air-conditioning pack, 1 left, 2 right", nullable=True)
     component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
     diagnosis = text("diagnosis of the alert", nullable=False)
-    kind = text("acknowledge, assign, mute, watch, unwatch, close or reopen", nullable=False)
-    person = text("who", nullable=False)
+    sensor = text("sensor of the alert, as in the table of alerts")
+    kind = text(
+        "acknowledge, assign, mute, watch, unwatch, close or reopen; follow (the night: the case goes on with this "
+        "alert) or withdraw (the night: its alert is no longer raised)",
+        nullable=False,
+    )
+    person = text("who; night, of its own lines", nullable=False)
     assignee = text("assign: to whom")
     until = moment("mute: until when", nullable=True)
     note = text("why, or what else there is to say")
@@ -239,6 +254,8 @@ class RawCases(Table):
     severity_then = text("severity of the alert at that moment")
     loss_then = number("loss of its component at that moment")
     p_event_50_then = number("chance of an event within 50 flights at that moment", "-", 0, 1)
+    raised_then = moment("when the alert was raised, as known at that moment", nullable=True)
+    last_then = moment("when it closed or, while open, its last flight, as known at that moment", nullable=True)
 
 
 class RawCoverage(AircraftTable):

@@ -22,7 +22,7 @@ from pipelines.intake.readers import REPORTS, TYPES, readers
 from pipelines.intake.snapshots import read_snapshots
 from pipelines.lineage import LINEAGE, STAGE
 from pipelines.resources import Home, PartitionScope
-from pipelines.storage.cases import CaseLog
+from pipelines.storage.cases import CaseLog, with_ids
 
 
 @stage
@@ -62,7 +62,7 @@ def _checks(file: LandingFile, now: datetime, home: Home) -> FileIntake:
 
 @stage
 def raw_records(scope: PartitionScope, home: Home) -> StageResult:
-    """Read messages, maintenance entries, the case log and heads of printed reports."""
+    """Read messages, maintenance entries with the findings of cases, and heads of printed reports."""
     listing = home.ledger.of(scope.aircraft or {}).files([*RECORDS, REPORTS])
     stored = {table: scope.read_table(home.store, table) for table in STAGE["raw_records"].tables}
     stored["raw_maintenance"] = pl.concat(
@@ -77,7 +77,6 @@ def raw_records(scope: PartitionScope, home: Home) -> StageResult:
     inputs_changed = register_unread(home.ledger, listing, files, log_quarantine, due_times(logs))
     of_kind = {kind: [(f, x) for f, x in logs if f.kind == kind] for kind in (*RECORDS, REPORTS)}
     messages, maintenance = (_records(of_kind[kind], stored[f"raw_{kind}"]) for kind in RECORDS)
-    cases = _cases(CaseLog(Path(home.home)).entries(), stored["raw_cases"], scope)
 
     def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
         of_files_that_left = ~pl.col("file").is_in([f.path for f, _ in logs])
@@ -86,9 +85,8 @@ def raw_records(scope: PartitionScope, home: Home) -> StageResult:
     deliveries = [with_aircraft(f, account(f, x)) for f, x in logs]
     frames = (
         messages,
-        date_entries(with_findings(maintenance.filter(is_done()), cases)),
+        date_entries(with_findings(maintenance.filter(is_done()), case_lines(scope, home))),
         date_entries(maintenance.filter(~is_done())),
-        cases,
         with_stored("raw_reports", [x.rows for _, x in of_kind[REPORTS]]),
         with_stored("raw_records_deliveries", deliveries).with_columns(_ROW_COUNTS),
         with_stored("raw_records_quarantine", [with_aircraft(f, x.quarantine) for f, x in logs]),
@@ -136,10 +134,18 @@ def _records(logs: _Logs, stored: pl.DataFrame) -> pl.DataFrame:
     return pl.concat([others, *(x.rows for _, x in logs)], how="diagonal")
 
 
-def _cases(entries: pl.DataFrame, stored: pl.DataFrame, scope: PartitionScope) -> pl.DataFrame:
+def case_lines(scope: PartitionScope, home: Home) -> pl.DataFrame:
     """Return case log entries of these aircraft, with stored ones in case the log is lost."""
-    rows = pl.concat([entries, stored], how="diagonal").unique(["line", "at"], keep="first", maintain_order=True)
-    return rows.join(scope.cells(), on=list(_AIRCRAFT), how="semi").sort("line", "at")
+    stored = with_ids(scope.read_table(home.store, "raw_cases"))
+    rows = pl.concat([CaseLog(Path(home.home)).entries(), stored], how="diagonal")
+    own = rows.unique("id", keep="first", maintain_order=True).join(scope.cells(), on=list(_AIRCRAFT), how="semi")
+    return own.sort("line", "at")
+
+
+@stage
+def raw_cases(scope: PartitionScope, home: Home) -> pl.DataFrame:
+    """Copy the log of cases, with the lines that followed cases to alerts that moved."""
+    return case_lines(scope, home)
 
 
 def with_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:

@@ -6,6 +6,7 @@ from pathlib import Path
 import polars as pl
 
 from hdt_core.alerts.alerts import component_features, raise_alerts, raise_component_alerts
+from hdt_core.alerts.succession import lines_of_night
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import NominalBaseline, leg_indicators
@@ -19,9 +20,11 @@ from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from hdt_core.tracking.track import track
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.components import conform_all, of_pack, recorded_in, track_components
+from pipelines.assets.raw import case_lines
 from pipelines.assets.stage import stage
 from pipelines.lineage import LINEAGE
 from pipelines.resources import Home, PartitionScope
+from pipelines.storage.cases import NIGHT, CaseLog
 from pipelines.storage.settings import alert_limits
 
 
@@ -114,11 +117,23 @@ def features(
 
 @stage
 def features_alerts(
-    features: pl.DataFrame, features_components: pl.DataFrame, raw_maintenance: pl.DataFrame, home: Home
+    scope: PartitionScope,
+    home: Home,
+    features: pl.DataFrame,
+    features_components: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
 ) -> pl.DataFrame:
-    """Raise alerts: which loss grew, since when, what else could explain it, what to do."""
+    """Raise alerts: which loss grew, since when, what else could explain it, what to do.
+
+    Where an alert of the night before is another one now, the log of cases gets a line: its case goes on with that.
+    """
     limits = alert_limits(Path(home.home))
     alerts = raise_alerts(features, raw_maintenance, limits)
     inputs = (features_components, raw_maintenance)
     others = (raise_component_alerts(*inputs, c, limits) for c in recorded_in(features_components))
-    return conform_all("features_alerts", [alerts, *others])
+    now, before = conform_all("features_alerts", [alerts, *others]), scope.read_table(home.store, "features_alerts")
+    departures = pl.concat([features["departed_at"], features_components["departed_at"]])
+    log = CaseLog(Path(home.home))
+    for line in lines_of_night(case_lines(scope, home), before, now, departures):
+        log.append(line.alert, line.kind, NIGHT, line.body)
+    return now

@@ -11,7 +11,12 @@ from rich.table import Table
 
 from pipelines.cli.base import AsJson, HomeDir, app, home_folder, out
 
-AlertId = Annotated[str, typer.Argument(metavar="ALERT", help="The alert's id, or its first digits.")]
+AlertId = Annotated[
+    str,
+    typer.Argument(
+        metavar="ALERT", help="The case's id, or its first digits; also of an id that its alert has or had."
+    ),
+]
 By = Annotated[str, typer.Option("--by", help="Your name.")]
 Note = Annotated[str | None, typer.Option("--note", help="Reason or remark.")]
 
@@ -114,7 +119,7 @@ def list_(
     for r in rows:
         unit = f"{r['operator']} {words.unit_name(r)}"
         labels = (unit, words.diagnosis(r["diagnosis"]), r["severity"], _state(r), r["owner"] or "")
-        table.add_row(r["alert_id"][:8], *labels)
+        table.add_row(r["case_id"][:8], *labels)
     out.print(table, soft_wrap=False)
 
 
@@ -133,14 +138,14 @@ def show(alert: AlertId, home: HomeDir = None, as_json: AsJson = False) -> None:
 
     where = home_folder(home)
     row = find_case(where, alert)
-    history = history_of(where, row["alert_id"])
+    history = history_of(where, row)
     if as_json:
         out.print_json(json.dumps(row | {"history": history}, default=str))
         return
-    head = f"{row['alert_id']}  {row['operator']} {words.unit_name(row)}  {words.diagnosis(row['diagnosis'])}"
+    head = f"{row['case_id']}  {row['operator']} {words.unit_name(row)}  {words.diagnosis(row['diagnosis'])}"
     lines = [head, f"{_state(row)}; severity {row['severity']}; raised {row['raised_at']:%Y-%m-%d}"]
     lines += [row["evidence_now"], row["recommended_action"]]
-    lines += [f"hdt close {row['alert_id'][:8]} --finding: {', '.join(findings(row['component']))}"]
+    lines += [f"hdt close {row['case_id'][:8]} --finding: {', '.join(findings(row['component']))}"]
     for entry in history:
         values = (entry[c] for c in ("assignee", "until", "finding", "action", "note"))
         text = ", ".join(str(v) for v in values if v is not None)

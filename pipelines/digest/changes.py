@@ -15,7 +15,7 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import connect_as_of
 
 State = dict[str, Any]
-"""JSON: `until`, `alerts` and `closed` by id, `outlook` by unit, `gaps`, `silent` by name, `files`, `notes` by path."""
+"""JSON: `until`; `alerts`, `closed` by case; `outlook` by unit; `gaps`, `silent` by name; `files`, `notes` by path."""
 EMPTY: State = {
     "until": None, "alerts": {}, "closed": {}, "outlook": {}, "gaps": {}, "silent": {}, "files": {}, "notes": {},
 }  # fmt: skip
@@ -24,7 +24,7 @@ EMPTY: State = {
 _UNTIL = "select strftime(max(departed_at) at time zone 'UTC', '%Y-%m-%d %H:%M') from flights"
 _ALERTS = f"""
 select
-    a.alert_id, a.operator, a.tail, a.pack, a.component, a.diagnosis, a.severity, a.urgency,
+    a.case_id, a.alert_id, a.operator, a.tail, a.pack, a.component, a.diagnosis, a.severity, a.urgency,
     strftime(a.raised_at at time zone 'UTC', '%Y-%m-%d') as since,
     strftime(a.closed_at at time zone 'UTC', '%Y-%m-%d') as closed_on,
     a.recommended_action as action, a.evidence_now as evidence,
@@ -75,7 +75,7 @@ def read_state(con: duckdb.DuckDBPyConnection, tasks: Tasks | None = None) -> St
     """Read the state of a night from its catalog, with the work of each alert where `tasks` has it."""
     ((until,),) = con.execute(_UNTIL).fetchall()
     alerts = {
-        row["alert_id"]: row | {"work": work_text(tasks or {}, row | {"recommended_action": row["action"]})}
+        row["case_id"]: row | {"work": work_text(tasks or {}, row | {"recommended_action": row["action"]})}
         for row in _rows(con, _ALERTS)
     }
     return {
@@ -184,7 +184,7 @@ def _order(row: Row) -> tuple[Any, ...]:
 
 def _closing(was: Row, now: State) -> Row:
     """Return a closed alert's row; an alert that is no longer stored was withdrawn."""
-    row = now["closed"].get(was["alert_id"], was | {"closed_on": None, "outcome": "withdrawn"})
+    row = now["closed"].get(was["case_id"], was | {"closed_on": None, "outcome": "withdrawn"})
     return dict(row) | {"was": was}
 
 

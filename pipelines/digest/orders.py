@@ -14,14 +14,14 @@ from pipelines.report.tasks import BEST_CHOICE, Task, Tasks, action_of, tasks_of
 from pipelines.sharing import safe
 from pipelines.storage.files import replacing
 
-COLUMNS = ("reference", "operator", "tail", "pack", "component", "action", "due", "reason", "alert_id")
+COLUMNS = ("reference", "operator", "tail", "pack", "component", "action", "due", "reason", "case_id", "alert_id")
 WORK = tuple(f.name for f in fields(Task))
 
 _ORDERS = f"""
 select
-    'HDT-' || a.alert_id as reference, a.operator, a.tail, a.pack, a.component, a.diagnosis,
+    'HDT-' || a.case_id as reference, a.operator, a.tail, a.pack, a.component, a.diagnosis,
     a.recommended_action, n.choice, a.urgency, a.now_rul_flights as rul_flights, a.now_rul_low as rul_low,
-    a.now_rul_high as rul_high, a.now_p_event_50 as p_event_50, a.raised_on, a.alert_id,
+    a.now_rul_high as rul_high, a.now_p_event_50 as p_event_50, a.raised_on, a.case_id, a.alert_id,
     case
         when d.status = 'ok' then d.due_low_on
         when d.status is null and a.urgency = 'act' then (r.last_departed_at at time zone 'UTC')::date + 1

@@ -101,7 +101,7 @@ def _unit(row: Row) -> str:
 def _alert(row: Row) -> str:
     outlook = f" Flights left {words.flights_left(row)}." if row["rul_flights"] is not None else ""
     head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}, {row['severity']}. {words.urgency(row)}"
-    return f"{head}: {words.plain(row['action']).rstrip('.')}. {row['work']}.{outlook} [{row['alert_id']}]"
+    return f"{head}: {words.plain(row['action']).rstrip('.')}. {row['work']}.{outlook} [{row['case_id']}]"
 
 
 def _alert_change(row: Row) -> str:
@@ -114,7 +114,7 @@ def _closing(row: Row) -> str:
     when = f" on {row['closed_on']}" if row["closed_on"] else ""
     work = f", {row['work_orders']}" if row.get("work_orders") else ""
     head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}: closed{when}"
-    return f"{head}, outcome {row['outcome'].replace('_', ' ')}{work}. [{row['alert_id']}]"
+    return f"{head}, outcome {row['outcome'].replace('_', ' ')}{work}. [{row['case_id']}]"
 
 
 def _outlook(row: Row) -> str:

@@ -11,10 +11,12 @@ from typing import Any
 
 import polars as pl
 
+from hdt_core.alerts.succession import KINDS_OF_NIGHT
 from hdt_core.components import components
 from hdt_core.loading import parse_toml
 from hdt_core.records.keys import PACK
 from hdt_core.tables import TABLES
+from hdt_core.tables.raw import CLOSES
 from pipelines.intake.faults import Fault
 from pipelines.versions import digest
 
@@ -26,9 +28,9 @@ SAME_WORK = timedelta(days=3)
 
 
 def work_from_cases(cases: pl.DataFrame) -> pl.DataFrame:
-    """Convert rows of `raw_cases` to `raw_maintenance`: of each alert the last closing, unless it was reopened."""
-    last = cases.filter(pl.col("kind").is_in(["close", "reopen"])).sort("line").unique("alert_id", keep="last")
-    closings = last.filter(pl.col("kind") == "close").with_columns(source=pl.lit(CASE), closes_alert_id="alert_id")
+    """Convert rows of `raw_cases` to `raw_maintenance`: of each case the last closing, unless it was reopened."""
+    last = cases.filter(pl.col("kind").is_in(["close", "reopen"])).sort("line").unique("case_id", keep="last")
+    closings = last.filter(pl.col("kind") == "close").with_columns(source=pl.lit(CASE), **CLOSES)
     return TABLES["raw_maintenance"].schema.conform(closings.sort("line"))
 
 
@@ -43,17 +45,13 @@ def with_findings(log: pl.DataFrame, cases: pl.DataFrame) -> pl.DataFrame:
         Rows of `raw_cases` of the same aircraft.
     """
     schema, work = TABLES["raw_maintenance"].schema, work_from_cases(cases)
-    rows = (
-        schema.conform(log)
-        .with_columns(source=pl.lit(LOG), closes_alert_id=pl.lit(None, pl.String))
-        .with_row_index("n")
-    )
+    rows = schema.conform(log).drop(*CLOSES).with_columns(source=pl.lit(LOG)).with_row_index("n")
     pairs = work.join(rows, on=[*PACK, "component", "action"], suffix="_log", validate="m:m").filter(
         (pl.col("done_on") - pl.col("done_on_log")).abs() <= SAME_WORK
     )
-    matches = pairs.unique("n", keep="last").select("n", case_alert_id="closes_alert_id", case_finding="finding")
+    matches = pairs.unique("n", keep="last").select("n", *CLOSES, case_finding="finding")
     rows = rows.join(matches, on="n", how="left", maintain_order="left", validate="m:1").with_columns(
-        closes_alert_id=pl.col("case_alert_id"), finding=pl.coalesce("finding", "case_finding")
+        finding=pl.coalesce("finding", "case_finding")
     )
     work_of_cases_alone = work.join(pairs, on="closes_alert_id", how="anti", maintain_order="left")
     return pl.concat([schema.conform(rows), work_of_cases_alone])
@@ -68,7 +66,8 @@ def case_files(cases: pl.DataFrame) -> list[tuple[str, str, str, str, int, int, 
         path, operator, tail, kind, number of lines, 0, digest.
     """
     files = []
-    for (o, t), cases_of_aircraft in sorted(cases.partition_by("operator", "tail", as_dict=True).items()):
+    by_people = cases.filter(~pl.col("kind").is_in(KINDS_OF_NIGHT))  # the stage that writes the others stores them
+    for (o, t), cases_of_aircraft in sorted(by_people.partition_by("operator", "tail", as_dict=True).items()):
         # an acknowledgement must not have the twin computed again: work counts from the first closing on
         closed_cases = cases_of_aircraft.filter((pl.col("kind") == "close").any())
         for kind, rows in ((CASES, cases_of_aircraft), (FINDINGS, work_from_cases(closed_cases))):

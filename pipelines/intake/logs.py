@@ -14,7 +14,7 @@ from typing import Any
 import polars as pl
 
 from hdt_core.components import ACTIONS, components
-from hdt_core.tables.raw import RawChecks, RawFleet, RawMaintenance, RawMessages
+from hdt_core.tables.raw import CLOSES, RawChecks, RawFleet, RawMaintenance, RawMessages
 from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import (
@@ -227,7 +227,7 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
         return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
                 *serials, status or None)  # fmt: skip
 
-    no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", "closes_alert_id"))
+    no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", *CLOSES))
     contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=(*SERIALS, STATUS))
     log = _read_log(file, no_work, lambda content: parse_list(content, contract, validate, "done_on"))
     log = replace(log, due_at=min(later, default=None))

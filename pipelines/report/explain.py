@@ -15,6 +15,7 @@ from pipelines.words import ENGLISH, _, language
 
 Row = dict[str, Any]
 _UNIT = "a.operator = $1 and a.tail = $2 and a.pack = $3 and a.component"
+_NAMED = "a.alert_id in (select alert_id from alert_cases where $1 <> '' and starts_with(known_as, $1))"
 _PACK = re.compile(
     r"(?:(?P<operator>[a-z]{3})[\s/]+)?(?P<tail>[a-z0-9-]{2,10})"
     r"(?:[\s/]+(?:pack\s+)?(?P<pack>[1-4])(?:\s+\((?:left|right)\))?)?",
@@ -39,7 +40,7 @@ def explain(home: Path, name: str) -> str | None:
         if packs or units:
             first = [_text(con, tasks, packs[0], packs[1:])] if packs else []
             return "\n\n".join([*first, *(_text(con, tasks, unit) for unit in units)])
-        alerts = _alerts(con, tasks, "$1 <> '' and starts_with(a.alert_id, $1)", name.strip().lower())
+        alerts = _alerts(con, tasks, _NAMED, name.strip().lower())
     if len(alerts) > 1:
         raise UserError(f"{len(alerts)} alerts begin with {name}; give more of the id")
     return "\n".join(_alert_lines(alerts[0])) if alerts else None

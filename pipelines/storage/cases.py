@@ -2,22 +2,28 @@
 
 Where HDT_LEDGER_URL names a PostgreSQL database the log is a table `cases` there, as the ledger is: several machines
 may work for one fleet. A line is written in a transaction that reads all lines before it, so of two people who change
-one case at the same time the second gets an error, and nobody's line is lost. Each night copies the log to `raw_cases`.
+one case at the same time the second gets an error, and nobody's line is lost. Each night copies the log to `raw_cases`,
+and puts back lines that the log lacks, as after the file was lost or an older copy of it restored. A line is known by
+its `id`: its number is its place, which may change then.
 """
 
+import hashlib
+import heapq
 import json
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from secrets import token_hex
 from typing import Any
 
 import polars as pl
 from polars.exceptions import PolarsError
 
+from hdt_core.alerts.succession import KINDS_OF_NIGHT
 from hdt_core.loading import UserError
 from hdt_core.tables import TABLES
 from pipelines.storage.database import URL, Database, query_value
@@ -38,6 +44,13 @@ _NEVER = tuple(
 )
 _OWN = ("line", "at", "alert_id", "operator", "tail", "pack", "component", "diagnosis", "kind", "person")
 _ADD = f"insert into cases ({', '.join(_OWN)}, body) values ({', '.join('?' * (len(_OWN) + 1))})"
+_TIMES, _DAYS = ("at", "until", "done_at", "raised_then", "last_then"), ("done_on",)
+_Line = dict[str, Any]
+"""A line as a row of `raw_cases`, its times as text."""
+NIGHT = "night"
+"""Author of the night's own lines."""
+_IDENTITY = ("at", "alert_id", "kind", "person")
+"""Columns that tell lines apart which have no id."""
 
 
 class ConflictError(UserError):
@@ -74,49 +87,51 @@ class CaseLog:
         alert : mapping
             `alert_id, operator, tail, pack, component, diagnosis`.
         kind : str
-            acknowledge, assign, mute, watch, unwatch, close or reopen.
+            acknowledge, assign, mute, watch, unwatch, close or reopen; follow or withdraw.
         person : str
             Who.
         body : mapping, optional
-            Columns of `raw_cases` that belong to the kind; text, numbers, days and times as text.
+            Columns of `raw_cases` that belong to the kind, and `case_id` where it is not the alert's id; text, numbers,
+            days and times as text.
         expected_line : int, optional
-            Number of the last line about this alert that its writer has read, 0 for none; None writes in any case.
+            Number of the last line about this case that its writer has read, 0 for none; None writes in any case.
 
         Raises
         ------
         ConflictError
-            Another line is the last about the alert.
+            Another person's line is the last about the case.
         """
-        name = alert["alert_id"]
+        content = {"id": token_hex(8), "case_id": alert["alert_id"]} | dict(body or {})
         with self._writing() as con:
-            last = con.execute(
-                "select line, person, kind, at from cases where alert_id = ? order by line desc limit 1", (name,)
-            ).fetchone()
-            if expected_line is not None and expected_line != (last[0] if last else 0):
+            lines = _read_lines(con)
+            joined = {
+                r["case_id"] for r in {r["case_id"]: r for r in lines}.values() if r["alert_id"] == alert["alert_id"]
+            }
+            of_case = [r for r in lines if r["case_id"] in {content["case_id"], *joined}]
+            last = next((r for r in reversed(of_case) if r["kind"] not in KINDS_OF_NIGHT), None)
+            if expected_line is not None and expected_line != (last["line"] if last else 0):
                 raise ConflictError(
-                    f"{last[1]} changed this case in the meantime ({last[2]}, {last[3][:16]}); look again"
-                    if last and last[0] > expected_line
+                    f"{last['person']} changed this case in the meantime ({last['kind']}, {last['at']:.16}); look again"
+                    if last and last["line"] > expected_line
                     else f"line {expected_line} of the log is none about this case; look again"
                 )
-            number = 1 + _last_line(con)
+            number = lines[-1]["line"] + 1 if lines else 1
             at = datetime.now(UTC).isoformat(timespec="microseconds")
             own = (alert[c] for c in _OWN[2:8])
-            con.execute(_ADD, (number, at, *own, kind, person, _text(body or {})))
-        return number
+            con.execute(_ADD, (number, at, *own, kind, person, _text(content)))
+        return int(number)
 
     def last_line(self) -> int:
         """Return the number of the last line, 0 where there is none."""
-        return self._database.query(_last_line)
+        return max((line["line"] for line in self._lines()), default=0)
 
     def entries(self) -> pl.DataFrame:
         """Read all lines as rows of `raw_cases`, in order."""
-        rows = [dict(zip(_OWN, row, strict=False)) | json.loads(row[-1]) for row in self._lines()]
-        schema = TABLES["raw_cases"].schema
+        rows, schema = self._lines(), TABLES["raw_cases"].schema
         if not rows:
             return schema.create_empty()
         frame = pl.DataFrame(rows, infer_schema_length=None)
-        times = [c for c in ("at", "until", "done_at") if c in frame.columns]
-        days = [c for c in ("done_on",) if c in frame.columns]
+        times, days = ([c for c in columns if c in frame.columns] for columns in (_TIMES, _DAYS))
         return schema.conform(
             frame.with_columns(
                 pl.col(times).cast(pl.String).str.to_datetime("%+", time_unit="us", time_zone="UTC"),
@@ -125,10 +140,23 @@ class CaseLog:
         )
 
     def fault(self, stored: pl.DataFrame) -> str | None:
-        """Check the file; the fault in words, None where it is whole, where there is none, or on a server.
+        """Check the log; the fault in words, None where it is whole.
 
-        Lines that a night has `stored` must be the same: SQLite has no checksums of its pages.
+        Lines that a night has `stored` must be there and the same: SQLite has no checksums of its pages, and a copy
+        of the log that was put back lacks the last ones.
         """
+        if damage := self._damage():
+            return damage
+        own, kept = self.entries(), with_ids(stored)
+        n_missing = kept.join(own, on="id", how="anti").height
+        if n_missing:
+            return f"lacks {n_missing} lines that the tables hold" if own.height else "is gone"
+        both = (own.join(kept, on="id", how="semi"), kept)
+        is_same = both[0].drop("line").sort("id").equals(both[1].select(own.columns).drop("line").sort("id"))
+        return None if is_same else "holds a line that is not what was written"
+
+    def _damage(self) -> str | None:
+        """Describe the damage of a file that can't be read, None where there is none, or on a server."""
         path = self.home / FILE
         if self.url or not path.exists():
             return None
@@ -136,46 +164,89 @@ class CaseLog:
         if answer != "ok":
             return f"is damaged ({answer})"
         try:
-            current, line = self.entries(), ["line", "at"]
+            self.entries()
         except (ValueError, sqlite3.DatabaseError, PolarsError) as error:
             return f"is damaged ({message_of(error)})"
-        both = [
-            one.join(other, on=line, how="semi").sort(line) for one, other in ((current, stored), (stored, current))
-        ]
-        return None if both[0].equals(both[1].select(current.columns)) else "holds a line that is not what was written"
+        return None
 
     def repair(self, stored: pl.DataFrame) -> str | None:
-        """Restore the lines that the nights have stored, where the log is gone or damaged; the fault in words."""
-        fault, path = self.fault(stored), self.home / FILE
-        since = self._lines_after(stored["line"].max()) if fault else []
-        if fault:
-            path.rename(path.with_name(f"{FILE}.damaged"))
-        if stored.is_empty() or self._lines():
-            return f"the log of cases {fault}; it begins anew, the old one is {FILE}.damaged" if fault else None
-        with self._writing() as con:
-            con.executemany(_ADD, since)
-            for row in stored.sort("line").iter_rows(named=True):
-                body = {k: v for k, v in row.items() if k not in _OWN and v is not None}
-                own = [row["at"].isoformat(timespec="microseconds") if c == "at" else row[c] for c in _OWN]
-                con.execute(_ADD, (*own, _text(body)))
-        what = f"{fault} ({FILE}.damaged)" if fault else "was gone"
-        end = f"and {len(since)} since the last night" if since else "those since the last night are lost"
-        return f"the log of cases {what}; {stored.height} lines are put back, {end}"
+        """Join the log's lines and those that the nights have stored where one of these is missing or not the same.
 
-    def _lines_after(self, last: object) -> list[tuple[Any, ...]]:
-        """Read the lines of a damaged log that no night has stored, as far as possible."""
+        Returns
+        -------
+        str or None
+            The fault and what became of it, in words; None where there was none.
+        """
+        fault, path = self.fault(stored), self.home / FILE
+        if fault is None:
+            return None
+        rescued, is_damaged = self._readable_lines(), self._damage() is not None
+        if is_damaged:
+            path.rename(path.with_name(f"{FILE}.damaged"))
+            fault = f"{fault} ({FILE}.damaged)"
+        kept = [{k: v for k, v in row.items() if v is not None} for row in with_ids(stored).sort("line").to_dicts()]
+        kept = [row | {"at": row["at"].isoformat(timespec="microseconds")} for row in kept]
+        known = {row["id"] for row in kept}
+        with self._writing() as con:
+            own = rescued if is_damaged else _read_lines(con)
+            since = [row for row in own if row["id"] not in known]
+            _rewrite(con, heapq.merge(kept, since, key=lambda row: str(row["at"])), is_file=not self.url)
+        if not known:
+            return f"the log of cases {fault}; it begins anew with {len(since)} lines"
+        put_back = len(known - {row["id"] for row in own}) or len(known)
+        end = f"and {len(since)} since the last night" if since else "and those since the last night, if any, are lost"
+        return f"the log of cases {fault}; {put_back} lines are put back, {end}"
+
+    def _readable_lines(self) -> list[_Line]:
+        """Read the lines of a log that may be damaged; none where it can't be read."""
         try:
-            return [line for line in self._lines() if isinstance(last, int) and line[0] > last]
+            return self._lines()
         except (ValueError, sqlite3.DatabaseError):
             return []
 
-    def _lines(self) -> list[tuple[Any, ...]]:
-        query = f"select {', '.join(_OWN)}, body from cases order by line"
-        return self._database.query(lambda con: list(con.execute(query).fetchall()))
+    def _lines(self) -> list[_Line]:
+        return self._database.query(_read_lines)
 
 
-def _last_line(con: Any) -> int:
-    return int(con.execute("select coalesce(max(line), 0) from cases").fetchone()[0])
+def with_ids(rows: pl.DataFrame) -> pl.DataFrame:
+    """Return rows of `raw_cases` with the ids that `_as_row` gives to lines from before there were any."""
+    old = [_line_id(at.isoformat(timespec="microseconds"), *own) for at, *own in rows.select(*_IDENTITY).iter_rows()]
+    return rows.with_columns(
+        pl.coalesce("id", pl.Series(old, dtype=pl.String)).alias("id"),
+        pl.coalesce("case_id", "alert_id").alias("case_id"),
+    )
+
+
+def _read_lines(con: Any) -> list[_Line]:
+    query = f"select {', '.join(_OWN)}, body from cases order by line"
+    return [_as_row(values) for values in con.execute(query).fetchall()]
+
+
+def _as_row(values: tuple[Any, ...]) -> _Line:
+    """Return a line with its id and case; of one that has none, a hash of it and the alert's id."""
+    own = dict(zip(_OWN, values, strict=False))
+    old = {"id": _line_id(*(own[c] for c in _IDENTITY)), "case_id": own["alert_id"]}
+    body: _Line = json.loads(values[-1])
+    return old | own | body
+
+
+def _line_id(*values: object) -> str:
+    return hashlib.sha256("|".join(map(str, values)).encode()).hexdigest()[:16]
+
+
+def _rewrite(con: Any, rows: Iterable[_Line], is_file: bool) -> None:
+    """Write all lines anew, numbered in this order."""
+    if is_file:
+        con.execute("drop trigger no_delete")
+    numbered = [(n, *(row[c] for c in _OWN[1:]), _body_of(row)) for n, row in enumerate(rows, 1)]
+    con.execute("delete from cases")
+    con.executemany(_ADD, numbered)
+    if is_file:
+        con.execute(_NEVER[1])
+
+
+def _body_of(row: _Line) -> str:
+    return _text({k: v for k, v in row.items() if k not in _OWN})
 
 
 def _text(body: Mapping[str, Any]) -> str:

@@ -168,7 +168,9 @@ def connect_as_of(home: Path, night: str) -> duckdb.DuckDBPyConnection:
     name, versions = find_night(Ledger(store.home, read_only=True).snapshots(), night)
     try:
         tables = store.snapshot(versions)
-        tables |= {t: (0, [f"{t}/{store.tables.shards(t)[EMPTY]}"]) for t in TABLES if t not in versions}
+        for table in TABLES:  # the empty file of today has the columns that the files of that night may lack
+            version, files = tables.get(table, (0, []))
+            tables[table] = version, sorted({*files, f"{table}/{store.tables.shards(table)[EMPTY]}"})
         for _, files in tables.values():
             for file in files:
                 store.tables.verify(file)

@@ -19,7 +19,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from pipelines.casework import ACTIONS, KINDS, OPEN, RefusedError, change_case, findings, history_of, list_cases
+from pipelines.casework import ACTIONS, KINDS, NAMED, OPEN, RefusedError, change_case, findings, history_of, list_cases
 from pipelines.digest.changes import Digest, changes_since
 from pipelines.digest.render import lines
 from pipelines.report import words
@@ -47,8 +47,8 @@ def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
     routes = [
         Route("/", casebook.list, methods=["GET"]),
         Route("/unit/{card:str}", casebook.unit, methods=["GET"]),
-        Route("/case/{alert_id:str}", casebook.show, methods=["GET"]),
-        Route("/case/{alert_id:str}", casebook.change, methods=["POST"]),
+        Route("/case/{name:str}", casebook.show, methods=["GET"]),
+        Route("/case/{name:str}", casebook.change, methods=["POST"]),
     ]
     app = Starlette(routes=routes, exception_handlers=dict.fromkeys(_UNREADABLE, casebook.unreadable))
     return Guard(app, names, sign_in, MAX_BODY)
@@ -83,7 +83,7 @@ def _links(rows: list[Row], cases: list[Row]) -> dict[tuple[Any, ...], str]:
     links: dict[tuple[Any, ...], str] = {}
     for case in (c for c in cases if c["closed_at"] is None):
         unit = (*words.unit_key(case), case["component"])
-        links.setdefault(unit if unit in units else unit[:3], f"/case/{case['alert_id']}")
+        links.setdefault(unit if unit in units else unit[:3], f"/case/{case['case_id']}")
     return links
 
 
@@ -156,8 +156,8 @@ class Casebook:
         return self._message(request, 503, f"{str(error).splitlines()[0]}.")
 
     async def _find(self, request: Request) -> Row | None:
-        """Return the case of the full alert id in the address, if the person may read it."""
-        cases = await _read(list_cases, self.home, "c.alert_id = $id", id=request.path_params["alert_id"])
+        """Return the case of the full id in the address, its own or one of its alert's, if the person may read it."""
+        cases = await _read(list_cases, self.home, NAMED, id=request.path_params["name"])
         return next((c for c in cases if request.state.person.may_read(c["operator"])), None)
 
     async def _case(self, request: Request, case: Row | None, status: int = 200, message: str = "") -> Response:
@@ -173,7 +173,7 @@ class Casebook:
             "title": f"{words.unit_name(case)}: {words.diagnosis(case['diagnosis'])}",
             "card": card and card | {"alerts": alerts},
             "hit_rates": table["hit_rates"],
-            "history": await run_in_threadpool(history_of, self.home, case["alert_id"]),
+            "history": await run_in_threadpool(history_of, self.home, case),
             "findings": list(findings(case["component"])),
         }
         return self._page(request, "case.html", status, case=case, message=message, actions=ACTIONS, **context)

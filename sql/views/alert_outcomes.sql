@@ -8,7 +8,7 @@
 -- work_orders: references of the work that counts
 -- finding: what the last of that work found
 -- found_on: its day
--- Grain: alert. Reads: alerts, tables.raw_maintenance, tables.raw_messages, tables.components.
+-- Grain: alert. Reads: alert_cases, alerts, tables.raw_maintenance, tables.raw_messages, tables.components.
 create or replace view alert_outcomes as
 with near as (
     select
@@ -19,7 +19,8 @@ with near as (
         w.reference,
         a.closed_at,
         case
-            when w.closes_alert_id is not null then case when a.alert_id = w.closes_alert_id then 1 end
+            when w.closes_alert_id is not null
+                then case when a.alert_id = coalesce(c.alert_id, w.closes_alert_id) then 1 end
             when coalesce(a.closed_on, w.done_on) >= w.done_on then 2
             when a.closed_reason = 'renewed' then null
             when a.closed_reason = 'found_clean' and coalesce(w.finding, '') not in ('', 'NO_FAULT_FOUND') then 2
@@ -35,6 +36,7 @@ with near as (
             and a.component = w.component
             and a.raised_on <= w.done_on
             and (w.closes_alert_id is not null or coalesce(a.closed_on, w.done_on) + 14 >= w.done_on)
+    left join alert_cases as c on w.closes_alert_id = c.known_as
 ),
 
 credited as (

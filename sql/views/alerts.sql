@@ -1,10 +1,20 @@
 -- What wants a person's attention, why, and what to do?
 -- raised_on: day of raised_at in UTC; raised_at::date is a day of the session's time zone
 -- closed_on: day of closed_at in UTC
--- Grain: alert. Reads: tables.features_alerts.
+-- case_id: its case, which keeps its id where the data give the alert another
+-- Grain: alert. Reads: alert_cases, tables.features_alerts.
 create or replace view alerts as
+with own_cases as (
+    select distinct
+        alert_id,
+        case_id
+    from alert_cases
+)
+
 select
-    *,
-    (raised_at at time zone 'UTC')::date as raised_on,
-    (closed_at at time zone 'UTC')::date as closed_on
-from tables.features_alerts;
+    a.*,
+    (a.raised_at at time zone 'UTC')::date as raised_on,
+    (a.closed_at at time zone 'UTC')::date as closed_on,
+    coalesce(c.case_id, a.alert_id) as case_id
+from tables.features_alerts as a
+left join own_cases as c on a.alert_id = c.alert_id;

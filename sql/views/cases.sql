@@ -13,18 +13,27 @@
 -- found_by: who that was
 -- found_on: day of the work
 -- work: what was done: REPLACED, CLEANED, INSPECTED or ADJUSTED
--- last_line: number of the last line of the log about it, 0 for none
+-- last_line: number of the last line that a person wrote about it, 0 for none
 -- last_at: when that was
 -- last_by: who wrote it
 -- last_kind: what it said
 -- last_note: why
--- Grain: alert. Reads: alert_states, tables.raw_cases.
+-- case_id: id of the case; alert_id is its alert's, which may be another after the next night
+-- Grain: alert. Reads: alert_cases, alert_states, tables.raw_cases.
 create or replace view cases as
-with entries as (
-    select
-        *,
-        max(line) filter (where kind = 'reopen') over (partition by alert_id) as reopened
+with by_people as (
+    select * exclude (alert_id)
     from tables.raw_cases
+    where kind not in ('follow', 'withdraw')
+),
+
+entries as (
+    select
+        p.*,
+        c.alert_id,
+        max(p.line) filter (where p.kind = 'reopen') over (partition by c.alert_id) as reopened
+    from by_people as p
+    inner join alert_cases as c on p.case_id = c.known_as
 ),
 
 watched as (
@@ -61,6 +70,7 @@ last_entries as (
 standing as (
     select
         a.alert_id,
+        a.case_id,
         a.operator,
         a.tail,
         a.pack,

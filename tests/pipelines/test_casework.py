@@ -41,6 +41,10 @@ def state(home: Path, alert_id: str = "wear") -> str:
     return str(find_case(home, alert_id)["state"])
 
 
+def history(home: Path, alert_id: str = "wear") -> list[dict]:
+    return history_of(home, find_case(home, alert_id))
+
+
 def test_a_change_is_seen_at_once(home):
     assert {c["alert_id"]: c["state"] for c in list_cases(home, "true")} == {
         "wear": "new", "clog": "new", "gone": "closed", "other": "new",
@@ -53,7 +57,7 @@ def test_a_change_is_seen_at_once(home):
     change(home, "wear", "unwatch", "Di")
     case = find_case(home, "wear")
     assert [case[c] for c in ("owner", "acknowledged_by", "watched_by", "last_by")] == ["Bo", "Ada", "Cy", "Di"]
-    assert [h["kind"] for h in history_of(home, "wear")] == ["acknowledge", "assign", "watch", "watch", "unwatch"]
+    assert [h["kind"] for h in history(home)] == ["acknowledge", "assign", "watch", "watch", "unwatch"]
 
 
 def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
@@ -97,7 +101,7 @@ def test_a_finding_answers_the_case(home, finding, action, state_is, message):
 def test_each_component_has_findings_of_its_own(home, component, finding, code, note):
     case = find_case(home, "wear") | {"component": component}
     change_case(home, case, "close", "Ada", finding=finding, note="left connector")
-    assert [(h["finding"], h["note"]) for h in history_of(home, "wear")] == [(code, note)]
+    assert [(h["finding"], h["note"]) for h in history(home)] == [(code, note)]
 
 
 @pytest.mark.parametrize(
@@ -124,7 +128,7 @@ def test_each_component_has_findings_of_its_own(home, component, finding, code, 
 def test_what_makes_no_sense_is_refused_and_leaves_no_line(home, kind, fields, message):
     with pytest.raises(RefusedError, match=message):
         change(home, "wear", kind, "Ada", **fields)
-    assert history_of(home, "wear") == []
+    assert history(home) == []
 
 
 def test_a_closed_alert_is_not_acknowledged_and_no_guess_is_made_between_two(home):
@@ -221,6 +225,34 @@ def test_a_line_that_rots_is_put_back_and_a_new_one_stays(tmp_path):
     assert log.entries().head(1).equals(stored)
 
 
+def test_an_older_copy_of_the_log_gets_its_last_lines_back(tmp_path):
+    log = CaseLog(tmp_path, "")
+    log.append(ALERT, "acknowledge", "Ada")
+    backup = (tmp_path / FILE).read_bytes()
+    log.append(ALERT, "assign", "Ada", {"assignee": "Bo"})
+    stored = log.entries()
+    (tmp_path / FILE).write_bytes(backup)
+    log.append(ALERT, "mute", "Cy", {"until": "2030-01-01T00:00:00+00:00"})
+    assert "lacks 1 lines that the tables hold; 1 lines are put back" in str(log.repair(stored))
+    assert log.entries().select("line", "kind").rows() == [(1, "acknowledge"), (2, "assign"), (3, "mute")]
+    assert log.repair(stored) is None
+
+
+def test_lines_from_before_there_were_ids_are_joined_once(tmp_path):
+    log = CaseLog(tmp_path, "")
+    log.append(ALERT, "assign", "Ada", {"assignee": "Bo"})
+    with sqlite3.connect(tmp_path / FILE) as con:
+        con.execute("drop trigger no_update")
+        con.execute("update cases set body = json_remove(body, '$.id', '$.case_id')")
+    con.close()
+    stored = log.entries().with_columns(id=pl.lit(None, pl.String), case_id=pl.lit(None, pl.String))
+    log.append(ALERT, "watch", "Cy")
+    assert log.repair(stored) is None
+    (tmp_path / FILE).unlink()
+    assert "1 lines are put back" in str(log.repair(stored))
+    assert log.entries().select("case_id", "kind").rows() == [("a1", "assign")]
+
+
 @pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
 def test_a_database_keeps_it_for_several_machines():
     with new_database() as url:
@@ -230,6 +262,9 @@ def test_a_database_keeps_it_for_several_machines():
             two.append(ALERT, "acknowledge", "Bo", expected_line=0)
         two.append(ALERT, "acknowledge", "Bo", expected_line=line)
         entries = two.entries()
+        lost = [entries.with_columns(id=pl.lit("lost"), at=pl.col("at").dt.offset_by("-1d")).head(1)]
+        assert "lacks 1 lines" in str(one.repair(pl.concat([entries, *lost])))
+        assert two.entries()["id"].to_list() == ["lost", *entries["id"]]
     assert entries.select("line", "kind", "note").rows() == [(1, "close", "50 %"), (2, "acknowledge", None)]
     assert entries.schema["done_on"] == pl.Date
 

@@ -74,7 +74,7 @@ def test_an_outlook_moved_where_it_left_its_own_interval(then, now, flown, expec
 def test_work_orders_say_by_when(two_nights, tmp_path):
     answer = CliRunner().invoke(app, ["orders", "--home", str(two_nights), "--out", str(tmp_path / "out")])
     assert answer.exit_code == 0, answer.output
-    names = ["reference", "operator", "tail", "pack", "component", "action", "due", "reason", "alert_id"]
+    names = ["reference", "operator", "tail", "pack", "component", "action", "due", "reason", "case_id", "alert_id"]
     names += ["minutes", "people", "tools", "part", "zone", "task"]
     sheet = pl.read_csv(tmp_path / "out/orders.csv", infer_schema=False)
     assert sheet.columns == names

@@ -34,7 +34,7 @@ def test_a_night_takes_seven_runs_each_with_a_name():
     assert all(any(stage.label for stage in step.stages) for step in steps(STAGES))
 
 
-HEALTH = {"twin_health", "legs_admitted", "features", "features_alerts"}
+HEALTH = {"twin_health", "legs_admitted", "features", "features_alerts", "raw_cases"}
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ HEALTH = {"twin_health", "legs_admitted", "features", "features_alerts"}
     [
         ("raw_components", {"raw_components", "calibration_components", *HEALTH}),
         ("twin_health", HEALTH),
-        ("features_alerts", {"features_alerts"}),
+        ("features_alerts", {"features_alerts", "raw_cases"}),
     ],
 )
 def test_of_a_run_only_stages_are_made_that_follow_from_a_stale_one(stale, made):

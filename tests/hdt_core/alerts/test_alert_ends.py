@@ -229,8 +229,9 @@ def test_an_alert_that_only_its_name_ends() -> None:
     rows = features(np.full(FLIGHTS, 0.05), hx_passage_300=np.full(FLIGHTS, 0.99), hx_margin_k=np.full(FLIGHTS, 1.0))
     (alert,) = alerts(rows, inspection()).to_dicts()
     assert (alert["diagnosis"], alert["closed_at"]) == ("HX_LOW_MARGIN", None)
-    (alert,) = alerts(rows, inspection(closes_alert_id=alert["alert_id"])).to_dicts()
-    assert alert["closed_reason"] == "found_clean"
+    closed = {"closes_alert_id": "another id", "closes_diagnosis": "HX_LOW_MARGIN", "closes_sensor": None}
+    (alert,) = alerts(rows, inspection(**closed)).to_dicts()
+    assert alert["closed_reason"] == "found_clean", "though its id is another since"
 
 
 @pytest.mark.parametrize(("days", "units"), [((30, 60), 3), ((1, 60), 2), ((60,), 2), ((), 1)])
