@@ -13,8 +13,9 @@ from pipelines.storage.store import Store
 
 def judge_record(ledger: Ledger) -> pl.DataFrame:
     """Judge all stored flights by the present record and clock: rows of `record_held`."""
-    flights = Store(ledger.home).read_table("raw_flights")
-    held = judge_flights(flights, datetime.now(UTC))
+    store = Store(ledger.home)
+    deliveries = store.read_table("raw_fleet").select(*AIRCRAFT, "delivered_on").unique(AIRCRAFT)
+    held = judge_flights(store.read_table("raw_flights"), deliveries, datetime.now(UTC))
     if held.is_empty():
         return held
     files = ledger.of(held.select("operator", "tail").unique().rows()).flight_files().sort("path")

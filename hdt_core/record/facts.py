@@ -8,6 +8,8 @@ from hdt_core.tables.raw import SIGNALS
 
 AIRBORNE_MACH = 0.2
 """Mach number above which an aircraft flies. [-]"""
+SILENCE_S = 10_800
+"""Reports come every 2 to 10 minutes; the longest gap of an intact flight in the sample fleet is 26 minutes. [s]"""
 AIRPORTS = ("origin", "destination")
 
 
@@ -61,13 +63,18 @@ def _ground_stops(ordered: pl.DataFrame) -> pl.DataFrame:
 
 
 def _backward_steps(rows: pl.DataFrame) -> pl.DataFrame:
-    """Find the largest step back of the clock, pack by pack in the order of each file, and count such steps."""
+    """Find the largest step back of the clock, pack by pack in the order of each file, and count such steps.
+
+    Parts of a file in exchanged order, without a silence between them, are no step back.
+    """
     in_file = ("file", "source", "pack")
-    ordered = rows.sort(*FLIGHT, *in_file, "row_in_file")
-    step_s = pl.col("time_utc").diff().dt.total_seconds().over(*FLIGHT, *in_file)
-    back_s = pl.when(pl.col("row_in_file") > pl.col("row_in_file").shift()).then(-step_s).clip(0)
-    packs = ordered.with_columns(back_s.alias("back_s")).group_by(*FLIGHT, *in_file)
-    largest = packs.agg(pl.col("back_s").max(), (pl.col("back_s") > 0).sum().cast(pl.Int64).alias("n"))
-    return largest.group_by(FLIGHT).agg(
-        pl.col("back_s").max().alias("clock_back_s"), pl.col("n").max().alias("n_steps_back")
+    ordered = rows.filter(pl.col("row_in_file") > 0).sort(*FLIGHT, *in_file, "row_in_file")
+    times = pl.col("time_utc")
+    step_s = times.diff().dt.total_seconds()
+    silence_s = times.sort().diff().max().dt.total_seconds()
+    exchanged = (times.last() < times.first()) & (silence_s < SILENCE_S)
+    packs = ordered.group_by(*FLIGHT, *in_file).agg(
+        pl.when(~exchanged).then(-step_s.min()).clip(0).alias("back_s"),
+        pl.when(~exchanged).then((step_s < 0).sum()).cast(pl.Int64).alias("n"),
     )
+    return packs.group_by(FLIGHT).agg(clock_back_s=pl.col("back_s").max(), n_steps_back=pl.col("n").max())

@@ -8,41 +8,62 @@ from datetime import datetime
 
 import polars as pl
 
+from hdt_core.flight.samples import CRUISE_FLOOR_M
 from hdt_core.record.facts import AIRBORNE_MACH
+from hdt_core.record.overlap import overlapping
+from hdt_core.record.reach import out_of_reach
+from hdt_core.records.keys import AIRCRAFT, FLIGHT
 from hdt_core.tables.raw import RecordHeld
 
 CLIMB_M = 1_000.0
 """Rise above its first altitude that only a flight makes; a field's pressure altitude changes by less. [m]"""
+CLOCK_BACK_S = 60
+"""Step back of the clock in a flight from which on its times are wrong; rounding makes smaller ones. [s]"""
+FEW_STEPS = 3
+"""Steps back in a file's order up to which a clock was set; a file in no order has more."""
+CONTINUES_S = 1_800
+"""Longest pause in the air between two parts of a flight: three times the longest wait for a report. [s]"""
+CLIMB_RATE_M_S = 25.0
+"""Fastest change of altitude between the two parts. [m/s]"""
 
 
-def judge_flights(flights: pl.DataFrame, now: datetime) -> pl.DataFrame:
+def judge_flights(flights: pl.DataFrame, delivered_on: pl.DataFrame, now: datetime) -> pl.DataFrame:
     """Select the flights that are held, each with the first reason that applies.
 
     Parameters
     ----------
     flights : DataFrame
         Table `raw_flights` of the whole fleet.
+    delivered_on : DataFrame
+        `operator, tail, delivered_on`, where the fleet list gives it.
     now : datetime
         The machine's clock. UTC.
 
     Returns
     -------
     DataFrame
-        `operator, tail, flight_id, departed_at, landed_at, reason, likely_cause, other_flight_id`.
+        Rows of `record_held` without file and arrival.
     """
-    alone = flights.with_columns(_reason_alone(now), likely_cause=pl.lit(None, pl.String))
-    held = alone.filter(pl.col("reason").is_not_null())
-    return RecordHeld.conform(held)
+    held = [_alone(flights, now)]
+    rest = flights.join(held[0], on=FLIGHT, how="anti")
+    for judge in (_continuations, overlapping, lambda own: _out_of_reach(own, delivered_on)):
+        found = judge(rest)
+        held.append(found)
+        rest = rest.join(found, on=FLIGHT, how="anti")
+    verdicts = pl.concat(held, how="diagonal")
+    of_flights = flights.select(*FLIGHT, "departed_at", "landed_at")
+    return RecordHeld.conform(of_flights.join(verdicts, on=FLIGHT, validate="1:1"))
 
 
-def _reason_alone(now: datetime) -> pl.Expr:
-    """Give the reason that a flight's own record shows, null where it shows none."""
-    is_after_clock = pl.col("landed_at") > now
-    return (
-        pl.when(is_after_clock).then(pl.lit("after_clock"))
+def _alone(flights: pl.DataFrame, now: datetime) -> pl.DataFrame:
+    """Select flights that their own record shows to be none, or to have a wrong time."""
+    set_back = (pl.col("clock_back_s") > CLOCK_BACK_S) & pl.col("n_steps_back").is_between(1, FEW_STEPS)
+    reason = (
+        pl.when(pl.col("landed_at") > now).then(pl.lit("after_clock"))
         .when(~flies()).then(pl.lit("no_flight"))
-        .alias("reason")
+        .when(set_back).then(pl.lit("clock_set_back"))
     )  # fmt: skip
+    return flights.select(*FLIGHT, reason.alias("reason")).drop_nulls("reason")
 
 
 def flies() -> pl.Expr:
@@ -51,3 +72,20 @@ def flies() -> pl.Expr:
     high = pl.col("highest_altitude_m") > pl.col("first_altitude_m") + CLIMB_M
     is_known = pl.col("highest_mach").is_not_null() | pl.col("highest_altitude_m").is_not_null()
     return fast.fill_null(False) | high.fill_null(False) | ~is_known
+
+
+def _continuations(flights: pl.DataFrame) -> pl.DataFrame:
+    """Select flights that begin in cruise where another of the aircraft ended minutes before."""
+    ordered = flights.sort(*AIRCRAFT, "departed_at", "flight_id")
+    before = pl.col("flight_id", "landed_at", "last_altitude_m").shift().over(AIRCRAFT).name.suffix("_before")
+    pairs = ordered.with_columns(before)
+    pause_s = (pl.col("departed_at") - pl.col("landed_at_before")).dt.total_seconds()
+    change_m = (pl.col("first_altitude_m") - pl.col("last_altitude_m_before")).abs()
+    lowest_m = pl.min_horizontal("first_altitude_m", "last_altitude_m_before")
+    continues = pause_s.is_between(0, CONTINUES_S) & (lowest_m > CRUISE_FLOOR_M) & (change_m < CLIMB_RATE_M_S * pause_s)
+    found = pairs.filter(continues.fill_null(False))
+    return found.select(*FLIGHT, reason=pl.lit("continuation"), other_flight_id="flight_id_before")
+
+
+def _out_of_reach(flights: pl.DataFrame, delivered_on: pl.DataFrame) -> pl.DataFrame:
+    return out_of_reach(flights, delivered_on).with_columns(reason=pl.lit("out_of_reach"))

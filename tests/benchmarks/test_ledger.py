@@ -11,7 +11,7 @@ from benchmarks.fleets import read_record
 from benchmarks.harness import put
 from pipelines.storage.store import Store
 
-ROOMS = ("alerts", "calibration", "flight", "health", "margin", "prognosis", "records", "tracking")
+ROOMS = ("record", "alerts", "calibration", "flight", "health", "margin", "prognosis", "records", "tracking")
 LEDGER = tomllib.loads(ledger.LEDGER.read_text())
 
 

@@ -1,12 +1,15 @@
 """Which flights are held: by their own record, their neighbours, their aircraft and the fleet."""
 
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 import polars as pl
 import pytest
 
 from hdt_core.record.judge import judge_flights
+from hdt_core.tables.raw import RawFlights
 from tests.support.flight_lists import NOW, START, fleet, flight, listed
+
+NO_DELIVERIES = pl.DataFrame(schema={"operator": pl.String, "tail": pl.String, "delivered_on": pl.Date})
 
 
 @pytest.fixture(scope="module")
@@ -14,14 +17,36 @@ def good() -> pl.DataFrame:
     return fleet()
 
 
-def judge(*parts: pl.DataFrame) -> dict[str, str]:
-    """Reason of each held flight."""
-    held = judge_flights(pl.concat(parts), NOW)
+def judge(*parts: pl.DataFrame, deliveries: pl.DataFrame = NO_DELIVERIES) -> pl.DataFrame:
+    return judge_flights(pl.concat(parts), deliveries, NOW)
+
+
+def reasons(held: pl.DataFrame) -> dict[str, str]:
     return dict(held.select("flight_id", "reason").iter_rows())
 
 
-def test_good_flights_are_not_held(good):
-    assert judge(good) == {}
+def nth(flights: pl.DataFrame, tail: str, *places: int) -> pl.DataFrame:
+    """Some flights of an aircraft, by their places in order of departure."""
+    own = flights.filter(tail=tail).sort("departed_at")
+    return own[[p % own.height for p in places]]
+
+
+def moved(flights: pl.DataFrame, offset: str, leg: int | None = None) -> pl.DataFrame:
+    """Flights at another time, under the id of their new day."""
+    at = pl.col("departed_at", "landed_at").dt.offset_by(offset)
+    own_leg = pl.col("flight_id").str.tail(2) if leg is None else pl.lit(f"{leg:02d}")
+    day = pl.col("departed_at").dt.strftime("%Y%m%d")
+    name = pl.concat_str("tail", day, own_leg, separator="_").alias("flight_id")
+    return RawFlights.conform(flights.with_columns(at).with_columns(name))
+
+
+def without(flights: pl.DataFrame, others: pl.DataFrame) -> pl.DataFrame:
+    return flights.join(others, on="flight_id", how="anti")
+
+
+@pytest.mark.parametrize(("n_aircraft", "n_days"), [(1, 1), (1, 60), (2, 1), (5, 3), (4, 120)])
+def test_good_flights_are_not_held(n_aircraft, n_days):
+    assert judge(fleet(n_days, n_aircraft)).is_empty()
 
 
 @pytest.mark.parametrize(
@@ -31,17 +56,129 @@ def test_good_flights_are_not_held(good):
         ({"highest_mach": None, "highest_altitude_m": 900.0}, "no_flight"),
         ({"highest_mach": 0.0}, None),
         ({"highest_mach": None, "highest_altitude_m": None, "first_altitude_m": None}, None),
+        ({"clock_back_s": 3_600, "n_steps_back": 1}, "clock_set_back"),
+        ({"clock_back_s": 3_600, "n_steps_back": 20}, None),
+        ({"clock_back_s": 30, "n_steps_back": 1}, None),
     ],
 )
-def test_what_never_leaves_the_ground_is_held(good, facts, reason):
+def test_a_flight_is_judged_by_its_own_record(good, facts, reason):
     run = flight("LX-AA0", START + timedelta(days=3, hours=14), 4, **facts)
 
-    assert judge(good, listed([run])).get(run["flight_id"]) == reason
+    assert reasons(judge(good, listed([run]))).get(run["flight_id"]) == reason
 
 
 @pytest.mark.parametrize(("minutes", "reason"), [(-1, None), (1, "after_clock")])
-def test_what_lands_after_the_clock_waits(good, minutes, reason):
+def test_what_lands_after_the_clock_waits(minutes, reason):
     landed_at = NOW + timedelta(minutes=minutes)
     own = flight("LX-AA9", landed_at - timedelta(hours=1), 1, landed_at=landed_at)
 
-    assert judge(good, listed([own])).get(own["flight_id"]) == reason
+    assert reasons(judge(listed([own]))).get(own["flight_id"]) == reason
+
+
+@pytest.mark.parametrize(
+    ("offset", "cause"),
+    [
+        ("1y", "year"), ("-1y", "year"), ("2y", "year"), ("1mo", "month"), ("-1mo", "month"),
+        ("-1024w", "week_rollover"), ("100d", None), ("-47d", None),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("place", [5, 44, -1])
+def test_a_misdated_flight_is_held(good, offset, cause, place):
+    right = nth(good, "LX-AA1", place)
+    wrong = moved(right, offset)
+
+    held = judge(without(good, right), wrong)
+
+    is_in_reach = START - timedelta(days=10) < wrong["departed_at"][0] < START + timedelta(days=40)
+    expected = {} if is_in_reach else dict.fromkeys(wrong["flight_id"], cause)
+    assert dict(held.select("flight_id", "likely_cause").iter_rows()) == expected
+
+
+@pytest.mark.parametrize("n_aircraft", [1, 4])
+def test_the_flights_after_a_week_rollover_are_held(n_aircraft):
+    good = fleet(60, n_aircraft)
+    late = nth(good, "LX-AA0", *range(120, 180))
+
+    held = judge(without(good, late), moved(late, "-1024w"))
+
+    assert held["likely_cause"].to_list() == ["week_rollover"] * 60
+
+
+def test_day_exchanged_with_month_is_named(good):
+    right = good.filter(pl.col("departed_at").dt.date() == datetime(2024, 3, 9).date(), tail="LX-AA2").head(1)
+    wrong = moved(right, "178d")  # 3 September
+
+    assert judge(without(good, right), wrong)["likely_cause"].to_list() == ["day_month_exchanged"]
+
+
+def test_a_default_date_is_named(good):
+    wrong = listed([flight("LX-AA1", datetime(2000, 1, 1, 3, tzinfo=START.tzinfo), 1)])
+
+    assert judge(good, wrong)["likely_cause"].to_list() == ["default_date"]
+
+
+@pytest.mark.parametrize("parked", [range(30, 180), range(30, 300)])
+def test_a_parked_aircraft_is_not_held(parked):
+    good = fleet(120)
+
+    assert judge(without(good, nth(good, "LX-AA1", *parked))).is_empty()
+
+
+@pytest.mark.parametrize("n_aircraft", [2, 6])
+def test_a_fleet_resumes_after_a_pause(n_aircraft):
+    good = fleet(60, n_aircraft)
+    later = moved(fleet(2, n_aircraft), "200d")
+
+    assert judge(good, later).is_empty()
+
+
+@pytest.mark.parametrize(("delivered_on", "n_held"), [(START.date(), 1), (None, 0)])
+def test_a_delivery_date_is_evidence(good, delivered_on, n_held):
+    others_before = moved(fleet(60), "-60d").filter(pl.col("tail") != "LX-AA1")
+    early = moved(nth(good, "LX-AA1", 0), "-40d")
+    deliveries = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AA1"], "delivered_on": [delivered_on]})
+
+    held = judge(others_before, good, early, deliveries=deliveries.cast(NO_DELIVERIES.schema))
+
+    assert held["flight_id"].to_list() == early["flight_id"].to_list()[:n_held]
+
+
+@pytest.mark.parametrize(("offset", "values"), [("0s", 600), ("1s", 600), ("1s", 590), ("-1s", 590), ("10m", 600)])
+def test_a_copy_is_held(good, offset, values):
+    right = nth(good, "LX-AA1", 10, 11, 30)
+    copies = moved(right.with_columns(n_values=pl.lit(values, pl.Int64)), offset)
+    renumbered = copies.with_columns(
+        flight_id=pl.col("flight_id").str.head(-2) + pl.lit("2") + pl.col("flight_id").str.tail(1)
+    )
+
+    held = judge(good, renumbered)
+
+    assert held.select("flight_id", "reason", "other_flight_id").rows() == [
+        (copy, "copy_of_flight", flight_id)
+        for copy, flight_id in zip(renumbered["flight_id"], right["flight_id"], strict=True)
+    ]
+
+
+def test_the_copy_with_fewer_values_is_held(good):
+    right = nth(good, "LX-AA1", 10)
+    better = right.with_columns(n_values=pl.lit(700, pl.Int64), flight_id=pl.lit("LX-AA1_20240307_25"))
+
+    assert judge(good, better)["flight_id"].to_list() == right["flight_id"].to_list()
+
+
+def test_a_misdated_flight_among_others_is_held(good):
+    right = nth(good, "LX-AA1", 40)
+    wrong = moved(right, "-119h", leg=9)  # a ninth leg that begins during the second
+
+    assert reasons(judge(without(good, right), wrong)) == dict.fromkeys(wrong["flight_id"], "overlaps_flight")
+
+
+@pytest.mark.parametrize(
+    ("pause_min", "altitude_m", "reason"),
+    [(5, 11_000.0, "continuation"), (40, 11_000.0, None), (5, 800.0, None), (1, 5_000.0, None)],
+)
+def test_the_rest_of_a_split_flight_is_held(pause_min, altitude_m, reason):
+    first = flight("LX-AA0", START, 1, last_altitude_m=11_000.0)
+    rest = flight("LX-AA0", START + timedelta(minutes=90 + pause_min), 2, 9, first_altitude_m=altitude_m)
+
+    assert reasons(judge(listed([first, rest]))).get(rest["flight_id"]) == reason
