@@ -188,8 +188,9 @@ def compare_redelivery(
     -------
     rows, quarantine : DataFrame
         Stored rows that the files lack, and new quarantine rows. Only a file counts that has some rows of a flight and
-        fewer than are stored of it; one with none leaves the flight unchanged, any other replaces it. Rows that it
-        lacks stay where it contradicts none that it repeats, else they are quarantined; a note gives both counts.
+        fewer than are stored of it; one with none leaves the flight unchanged, any other replaces it. One that was cut
+        repeats stored rows and no others: what it lacks stays. One with other values or times replaces the flight as a
+        whole, and what it lacks is quarantined. A note gives both counts.
     """
     replaced_rows = stored_quarantine.filter(pl.col("reason") == REPLACED_ROW)
     before, now = count_rows(stored_rows, replaced_rows), count_rows(rows, quarantine_rows)
@@ -201,7 +202,8 @@ def compare_redelivery(
     missing_rows = old.join(rows, on=(*KEY, "file"), how="anti")
     conflicts = _conflicting(old, rows)
     new_rows = [
-        _notes(fewer, received_at),
+        _notes(fewer.join(conflicts, on=ACCOUNT, how="anti"), "kept", received_at),
+        _notes(fewer.join(conflicts, on=ACCOUNT, how="semi"), "set aside", received_at),
         _replaced_rows(missing_rows.join(conflicts, on=ACCOUNT, how="semi"), received_at),
         replaced_rows.join(fewer, on=ACCOUNT, how="semi").select(NO_FAULTS.columns),
     ]
@@ -216,14 +218,16 @@ def count_rows(rows: pl.DataFrame | None, quarantine: pl.DataFrame | None, by: S
 
 
 def _conflicting(old: pl.DataFrame, rows: pl.DataFrame) -> pl.DataFrame:
-    """Find files and flights of which the new version gives another value than the old."""
+    """Find files and flights of which the new version gives other values or times than the old."""
     files = old["file"].unique().to_list()
     pairs = [contradictions(old.filter(file=f), rows.filter(file=f)).select(ACCOUNT) for f in files]
-    return pl.concat([old.select(ACCOUNT).clear(), *pairs]).unique()
+    same_flights = rows.join(old.select(ACCOUNT).unique(), on=ACCOUNT, how="semi")
+    other_times = same_flights.join(old, on=(*KEY, "file"), how="anti").select(ACCOUNT)
+    return pl.concat([other_times, *pairs]).unique()
 
 
-def _notes(fewer: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataFrame:
-    detail = "It had {} rows of this flight and now has {}. What it lacks is kept."
+def _notes(fewer: pl.DataFrame, outcome: str, received_at: Mapping[str, datetime]) -> pl.DataFrame:
+    detail = f"It had {{}} rows of this flight and now has {{}}. What it lacks is {outcome}."
     counts = fewer.sort(ACCOUNT).iter_rows()
     faults = ((f, Fault("fewer_rows", detail=detail.format(n, now), flight_id=flight)) for f, flight, n, now in counts)
     return _quarantine(faults, received_at)

@@ -2,8 +2,10 @@
 
 import itertools
 import os
+import re
 import shutil
 from collections.abc import Callable
+from datetime import timedelta
 from pathlib import Path
 
 import polars as pl
@@ -81,6 +83,10 @@ def head(n: int) -> Spoil:
 def warmer(content: bytes) -> bytes:
     """Another calibration of one sensor, in every row."""
     return column("hx_out_degc", lambda v: v + 2.0)(content)
+
+
+def an_hour_later(content: bytes) -> bytes:
+    return re.sub(rb"T(\d\d):", lambda hour: b"T%02d:" % (int(hour[1]) + 1), content)
 
 
 def both(*spoils: Spoil) -> Spoil:
@@ -180,6 +186,13 @@ def test_fewer_rows_with_other_values_replace_the_flight_and_keep_the_others_asi
     zone.deliver(CSV, warmer)
     assert zone.night().height == N
     assert zone.reasons() == []
+
+
+def test_fewer_rows_at_other_times_replace_the_flight(zone, taken_in):
+    zone.deliver(CSV, both(an_hour_later, head(20)))
+    for _ in range(2):
+        assert zone.night()["time_utc"].min() == taken_in["time_utc"].min() + timedelta(hours=1)
+        assert zone.quarantine.filter(reason="replaced_row")["n_rows"].sum() == N
 
 
 def test_a_correction_under_the_same_name_replaces_what_it_said(zone, taken_in):
