@@ -3,6 +3,7 @@
 import argparse
 import os
 import platform
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -46,7 +47,16 @@ def run(*mains: Callable[..., Texts], page: Path = PAGE) -> None:
     options = vars(parser.parse_args())
     main, write = options.pop("main"), options.pop("write")
     for mark, text in main(**options):
-        show(mark, text, page, write=write)
+        show(mark, f"{text}\n\n{origin()}" if write else text, page, write=write)
+
+
+def origin() -> str:
+    """Name the command that runs and the commit it runs on, for the table that it writes."""
+    describe = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+    commit = subprocess.run(describe, cwd=DOCS, capture_output=True, text=True, check=True).stdout.strip()
+    module = sys.modules["__main__"].__spec__
+    words = " ".join(["python -m", module.name if module else "", *sys.argv[1:]])
+    return f"Written by `{words}` at {commit}."
 
 
 def add_option(parser: argparse.ArgumentParser, name: str, parameter: Parameter) -> None:

@@ -181,9 +181,10 @@ def constant(prognoses: pl.DataFrame) -> pl.DataFrame:
     return prognoses.with_columns(rul_low=low, rul_flights=middle, rul_high=high, p_event_50=pl.lit(share))
 
 
-def main(fleets: int = 8, draws: int = 200) -> Texts:
-    """So many fleets that score, and as many that teach the ablation; bootstrap draws."""
-    scored = list(flown(SCORED, fleets, SIZE))
+def main(fleets: int = 8, draws: int = 200, flights: int = SIZE.flights) -> Texts:
+    """So many fleets that score, and as many that teach the ablation; bootstrap draws; flights of an aircraft."""
+    size_of_fleet = replace(SIZE, flights=flights)
+    scored = list(flown(SCORED, fleets, size_of_fleet))
     counted = together([tally(f) for f in scored])
     forecasts_of = {c: _pooled([forecasts(f, c) for f in scored]) for c in ("HX", "CC")}
     for same in ("base alone", "physics alone"):  # a compressor's product is the first passage of its base
@@ -198,7 +199,7 @@ def main(fleets: int = 8, draws: int = 200) -> Texts:
         yield f"precision {component}", precision_recall(own)
         yield f"calibration {component}", calibrated(own[CONTESTANTS[0]])
     yield "learning HX", learning_curve(forecasts_of["HX"])
-    yield "ablation", ablation(list(flown(TAUGHT, fleets, SIZE)), scored)
+    yield "ablation", ablation(list(flown(TAUGHT, fleets, size_of_fleet)), scored)
 
 
 def _pooled(parts: list[dict[str, pl.DataFrame]]) -> dict[str, pl.DataFrame]:

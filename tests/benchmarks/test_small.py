@@ -1,0 +1,57 @@
+"""Commands of the documentation run, and what they print small is what it was when the tables were written."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from benchmarks import small
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TABLE = """
+## scores
+
+| method | error | time [ms] |
+| --- | ---: | ---: |
+| nls | 0.0611 ± 0.01 | 3.1 |
+"""
+
+
+def named_commands() -> set[str]:
+    """Modules, with their verb, of benchmarks that a page names."""
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    return {" ".join(words).strip() for words in re.findall(r"python -m benchmarks\.(\w+)((?: [a-z][a-z-]+)?)", text)}
+
+
+def test_each_documented_command_has_a_small_run():
+    listed = tomllib.loads((ROOT / "benchmarks/small.toml").read_text(encoding="utf-8"))
+    known = [*listed["commands"].values(), *listed["elsewhere"]]
+
+    missing = {c for c in named_commands() if not any(k.startswith(c.replace("  ", " ")) for k in known)}
+
+    assert missing == set()
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)
+def test_nothing_stands_below_the_start(path):
+    _, start, below = path.read_text(encoding="utf-8").partition('if __name__ == "__main__":')
+
+    assert not start or not re.search(r"^\S", below, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "n_moved"), [("3.1", "9.9", 0), ("0.0611", "0.0622", 1), ("± 0.01", "± 0.02", 1)]
+)
+def test_scores_are_compared_and_times_are_not(was, now, n_moved):
+    lines = small.moved(small.cells(TABLE), small.cells(TABLE.replace(was, now)))
+
+    assert len(lines) == n_moved
+
+
+@pytest.mark.parametrize("name", small.COMMANDS)
+def test_small_run_prints_what_is_stored(name):
+    printed = small.run(name)
+
+    assert small.moved(small.cells(small.stored(name).read_text(encoding="utf-8")), small.cells(printed)) == []
