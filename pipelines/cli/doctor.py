@@ -17,6 +17,7 @@ from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.intake.faults import REASONS, ignored_entries, silent_columns, silent_lines
 from pipelines.intake.findings import NAME as NAME_OF_COSTS
 from pipelines.intake.findings import CostError, read_costs
+from pipelines.intake.held import HELD_GROUPS, held_flights, held_lines
 from pipelines.intake.landing import list_landing, list_new_files
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.readers import TYPES, readers
@@ -160,6 +161,7 @@ def _home(home: Path) -> Iterator[Check]:
         yield catalog
         if catalog.well:
             yield _feed(home)
+            yield _record(home)
 
 
 def _check_read(name: str, read: Callable[[Path], str], home: Path) -> Check:
@@ -251,3 +253,13 @@ def _feed(home: Path) -> Check:
     more = f" and {len(odd) - 3} more files" if len(odd) > 3 else ""
     lines = [f"{'; '.join(odd[:3])}{more}; see `select * from quarantine`"] if odd else []
     return Check("units and wiring", not odd + silent, "; ".join([*lines, *silent]) or "physically consistent")
+
+
+def _record(home: Path) -> Check:
+    """Check for flights that are held."""
+    try:
+        with connect(home) as con:
+            held = held_lines(held_flights(con, HELD_GROUPS))
+    except StoreError as error:
+        return Check("record", False, str(error))
+    return Check("record", not held, "; ".join(held) or "no flight is held")

@@ -209,16 +209,20 @@ def _print_results(home: Path, night: Any, seconds: float) -> None:
 
 
 def _print_refusals(home: Path, files: frozenset[str]) -> None:
-    """Print what of tonight's files was refused or noted, and the silent columns of their aircraft."""
+    """Print held flights, what of tonight's files was refused or noted, and the silent columns of their aircraft."""
     from pipelines.intake.faults import file_lines, quarantine_line, silent_columns, silent_lines
+    from pipelines.intake.held import HELD_GROUPS, held_flights, held_lines
     from pipelines.storage.catalog import connect
 
     with connect(home) as con:
         quarantined, silent = quarantine_line(con, files), silent_columns(con)
         refused = file_lines(con, files, notes=False)
         noted = file_lines(con, files, notes=True)
+        held = held_lines(held_flights(con, HELD_GROUPS))
     if quarantined:
         err.print(f"set aside: {quarantined}", soft_wrap=True)
+    for line in held:
+        err.print(f"held: {line}", soft_wrap=True)
     for line in refused:
         err.print(f"nothing stored of: {line}", soft_wrap=True)
     for line in noted:

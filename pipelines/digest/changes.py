@@ -9,15 +9,17 @@ import duckdb
 
 from hdt_core.prognosis.model import HORIZON
 from pipelines.intake.faults import silent_columns
+from pipelines.intake.held import held_flights
 from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import connect_as_of
 
 State = dict[str, Any]
-"""JSON: `until`; `alerts`, `closed` by case; `outlook` by unit; `gaps`, `silent` by name; `files`, `notes` by path."""
+"""JSON: `until`; `alerts`, `closed` by case; `outlook` by unit; `gaps`, `silent`, `held` by name; others by path."""
 EMPTY: State = {
     "until": None, "alerts": {}, "closed": {}, "outlook": {}, "gaps": {}, "silent": {}, "files": {}, "notes": {},
+    "held": {},
 }  # fmt: skip
 """State before the first night."""
 
@@ -92,6 +94,7 @@ def read_state(con: duckdb.DuckDBPyConnection, tasks: Tasks | None = None) -> St
         },
         "files": {row["file"]: row for row in _rows(con, _FILES, notes=False)},
         "notes": {row["file"]: row for row in _rows(con, _FILES, notes=True)},
+        "held": {_key(r, "operator", "flight_id", "reason"): r for r in held_flights(con)},
     }
 
 
@@ -105,7 +108,7 @@ def _key(row: dict[str, Any], *columns: str) -> str:
 
 Row = dict[str, Any]
 _URGENCY, _SEVERITY = ("none", "plan", "act"), ("low", "medium", "high")
-KINDS = ("new", "worse", "closed", "moved", "eased", "silent", "gap", "refused", "noted")
+KINDS = ("new", "worse", "closed", "moved", "eased", "silent", "gap", "held", "refused", "noted")
 """Kinds of change, in the order of the digest."""
 
 
@@ -163,6 +166,7 @@ def compare(before: State, now: State) -> Digest:
         "eased": [row | {"was": was} for was, row in pairs if _weight(row) < _weight(was)],
         "silent": [row for name, row in now["silent"].items() if name not in before["silent"]],
         "gap": [row for name, row in now["gaps"].items() if name not in before["gaps"]],
+        "held": [row for name, row in now["held"].items() if name not in before.get("held", {})],
         "refused": [row for name, row in now["files"].items() if before["files"].get(name) != row],
         "noted": [row for name, row in now["notes"].items() if notes_before.get(name) != row],
     }

@@ -6,6 +6,7 @@ from typing import Any
 
 from pipelines.digest.changes import Digest, Row
 from pipelines.intake.faults import describe_silence
+from pipelines.intake.held import describe_held
 from pipelines.report import words
 from pipelines.report.templating import templates_of
 from pipelines.storage.files import replacing
@@ -21,6 +22,7 @@ TITLES = {
     "eased": "Eased",
     "silent": "Columns that fell silent",
     "gap": "Data gaps",
+    "held": "Flights that are held",
     "refused": "Files refused, whole or in part",
     "noted": "Files taken in with a note",
 }
@@ -136,4 +138,5 @@ def _file_refusal(row: Row) -> str:
 
 
 _SENTENCE = {"new": _alert, "worse": _alert_change, "closed": _closing, "moved": _outlook, "eased": _alert_change,
-             "silent": describe_silence, "gap": _gap, "refused": _file_refusal, "noted": _note}  # fmt: skip
+             "silent": describe_silence, "gap": _gap, "held": describe_held, "refused": _file_refusal,
+             "noted": _note}  # fmt: skip

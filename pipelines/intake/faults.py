@@ -118,7 +118,7 @@ def ignored_entries(entries: pl.DataFrame) -> list[str]:
     for _folder, detail, paths in groups.iter_rows():
         names, more = ", ".join(paths[:MAX_NAMES]), len(paths) - MAX_NAMES
         lines.append(f"{_('{names} and {n} more', names=names, n=more) if more > 0 else names}: {detail}")
-    return _limit_lines(lines, _("the view quarantine has them"))
+    return limit_lines(lines, _("the view quarantine has them"))
 
 
 def quarantine_line(con: "duckdb.DuckDBPyConnection", new_files: Collection[str]) -> str:
@@ -152,7 +152,7 @@ def silent_columns(con: "duckdb.DuckDBPyConnection") -> list[Row]:
 
 def silent_lines(rows: Iterable[Row]) -> list[str]:
     """Report each column that fell silent in a line."""
-    return _limit_lines(
+    return limit_lines(
         [f"{r['operator']} {r['tail']}: {describe_silence(r)}" for r in rows], "hdt query 'from silent_columns'"
     )
 
@@ -173,7 +173,8 @@ def describe_silence(row: Row) -> str:
     return f"{sentence} {_('It fits {unit}.', unit=row['fits'])}" if row["fits"] else sentence
 
 
-def _limit_lines(lines: list[str], where: str) -> list[str]:
+def limit_lines(lines: list[str], where: str) -> list[str]:
+    """Limit lines of a kind; the rest is counted, and `where` shows it."""
     more = len(lines) - MAX_LINES
     return [*lines[:MAX_LINES], _("and {n} more: {where}", n=more, where=where)] if more > 0 else lines
 

@@ -1,0 +1,48 @@
+"""Describe the flights that are held, for the terminal, the digest and `hdt doctor`."""
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from pipelines.intake.faults import REASONS, limit_lines
+from pipelines.words import _, several
+
+if TYPE_CHECKING:
+    import duckdb
+
+HELD_GROUPS = """
+select operator, tail, reason, likely_cause, count(*) as n, min_by(flight_id, departed_at) as flight_id
+from held_flights group by all order by n desc, operator, tail, reason, likely_cause
+"""
+HELD_FLIGHTS = "select operator, tail, reason, likely_cause, 1 as n, flight_id from held_flights order by all"
+
+
+def held_flights(con: "duckdb.DuckDBPyConnection", query: str = HELD_FLIGHTS) -> list[dict[str, Any]]:
+    """Query held flights one by one, or by aircraft, reason and cause."""
+    return list(con.sql(query).pl().iter_rows(named=True))
+
+
+def held_lines(groups: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Report each group of held flights in a line."""
+    lines = [f"{g['operator']} {g['tail']}: {describe_held(g)}" for g in groups]
+    return limit_lines(lines, "hdt query 'from held_flights'")
+
+
+def describe_held(group: Mapping[str, Any]) -> str:
+    """Describe held flights of one aircraft: which, why and what made them so."""
+    flights = several("{n} flight", "{n} flights", group["n"])
+    first = _("{flights} from {first} on", flights=flights, first=group["flight_id"])
+    name = first if group["n"] > 1 else group["flight_id"]
+    cause = _("Likely cause: {cause}.", cause=cause_in_words(group["likely_cause"])) if group["likely_cause"] else ""
+    return f"{name}. {REASONS[group['reason']].sentence} {cause}".rstrip()
+
+
+def cause_in_words(cause: str) -> str:
+    """Name a likely cause."""
+    return {
+        "week_rollover": _("the week number of GPS began anew, 1,024 weeks"),
+        "year": _("another year"),
+        "month": _("another month"),
+        "day_month_exchanged": _("day and month exchanged"),
+        "default_date": _("a clock that was never set"),
+        "hours": _("a clock some hours off"),
+    }.get(cause, cause)
