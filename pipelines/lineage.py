@@ -183,7 +183,7 @@ STAGES = (
     ),
     declare_stage(
         "twin_health", "twin", "twin_health", "twin_checkpoints", "residuals_components",
-        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2, code="17",
+        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2, code="18",
         fresh="twin_health", label="health, features, alerts",
     ),
     declare_stage(  # legs are admitted after the twin, which does not depend on it
@@ -193,22 +193,23 @@ STAGES = (
         ), code="5",
     ),
     declare_stage(
-        "features", "features", "features", "features_components",
-        parents=("twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance"),
-        code="8", fresh="features",
+        "features", "features", "features", "features_components", "features_work",
+        parents=(
+            "twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance", "raw_messages"
+        ), code="9", fresh="features",
     ),
     declare_stage(
-        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="21",
+        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="22",
     ),
     declare_stage(  # after the alerts, whose stage notes in the log which case goes on with which of them
         "raw_cases", "features", "raw_cases", parents=("features_alerts",), files=("cases",), code="2",
     ),
-    declare_stage("declared_components", "raw", "components", code=DECLARED),
+    declare_stage("declared_components", "raw", "components", code=f"2 {DECLARED}"),
     declare_stage("prognosis_base", "prognosis", "prognosis_base", code="4", label="prognosis"),
     declare_stage(  # a model is stored with its scored flights, so prognoses come first: a kill between costs only work
         "prognosis", "prognosis", "prognoses", "prognosis_model", "prognosis_lives",
         parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-        code="11", fresh="prognoses",
+        code="12", fresh="prognoses",
     ),
 )  # fmt: skip
 

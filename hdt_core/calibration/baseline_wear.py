@@ -40,6 +40,14 @@ ENTRY = (
     EntryWear(0.12, 0.200, 0.080, False),
 )
 """Units at entry: many are young, some are not. Shares are an assumption, wide on purpose."""
+
+
+def entry_sd(entries: Sequence[EntryWear]) -> float:
+    """Standard deviation of the wear of a unit at entry, over its classes. ln [-]"""
+    share, wear, wear_sd = np.array([(e.share, e.wear, e.wear_sd) for e in entries]).T
+    return float(np.sqrt(share @ (wear_sd**2 + wear**2) - (share @ wear) ** 2))
+
+
 SHARE, WEAR_MEAN, WEAR_VAR = np.array([(e.share, e.wear, e.wear_sd**2) for e in ENTRY]).T
 IS_NEW = np.array([float(e.is_new) for e in ENTRY])
 LN_OFFSET_SD, LN_OFFSET_SD_SD = float(np.log(0.05)), 0.2

@@ -95,8 +95,11 @@ class Tracks:
     onset: Array
 
 
-def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Tracks:
+def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str, units: pl.DataFrame | None = None) -> Tracks:
     """Cut health tracks into lives.
+
+    A flight's features follow from the unit that the record of that time held to fly. Where work is logged late, or was
+    not done, its flights before and after that was known are of two rows of the panel, which share earlier flights.
 
     Parameters
     ----------
@@ -107,15 +110,19 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
         From `unit_lives.episodes`.
     component : str
         "HX" or "CC".
+    units : DataFrame, optional
+        From `unit_lives.units_on_record`; by default each life is known from its first flight.
     """
     names = (*CRITICAL, *MARGIN_FEATURES)
     margin = [_column(features if component == "HX" else features.clear(), c).alias(c) for c in names]
     flights = features.with_columns(*_loss(features, component), *margin)
-    rows = with_lives(flight_rows(flights, "value", "sd", "ratio", *names), lives, component).with_columns(
-        column=pl.col("value").is_not_null().cum_sum().over(*PACK, "life").cast(pl.Int64) - 1,
-        pack_id=(pl.struct(*PACK).rank("dense").cast(pl.Int64) - 1),
-    )
-    panel = _panel(rows.filter(pl.col("value").is_not_null()), int(rows["life_id"].max() or 0) + 1)  # type: ignore[arg-type]
+    rows = with_lives(flight_rows(flights, "value", "sd", "ratio", *names), lives, component)
+    units = lives.with_columns(known_row="first_row") if units is None else units
+    flown = _flown_by(rows, units.filter(pl.col("component") == component))
+    panel = _panel(flown.filter(pl.col("value").is_not_null()), int(flown["life_id"].max() or 0) + 1)  # type: ignore[arg-type]
+    known = flown.filter("is_known").select(*PACK, "row", "life_id", "column")
+    rows = rows.drop("life_id").join(known, on=[*PACK, "row"], maintain_order="left", validate="1:1")
+    rows = rows.with_columns(pack_id=(pl.struct(*PACK).rank("dense").cast(pl.Int64) - 1))
     at = rows.select("life_id", "column").to_numpy()
     return Tracks(
         panel=panel,
@@ -129,6 +136,23 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str) -> Track
         mute=rows["mute"].to_numpy(),
         operator=rows.unique("pack_id").sort("pack_id")["operator"].to_numpy(),
         onset=rule_onsets((panel.overheat_k, panel.overheat_half_k)),
+    )
+
+
+def _flown_by(rows: pl.DataFrame, units: pl.DataFrame) -> pl.DataFrame:
+    """Return the flights of each unit as known from `known_row` on, up to the last flight on which it was held to fly.
+
+    With `life_id`, `column` (among its flights of known health, from 0, -1 before) and `is_known` (held to fly).
+    """
+    place = units.sort(*PACK, "known_row").select(*PACK, "known_row", "first_row")
+    place = place.with_columns(end_row=pl.col("known_row").shift(-1).over(PACK), life_id=pl.int_range(pl.len()))
+    pairs = rows.drop("life_id", "first_row", "end_row").join(place, on=PACK, validate="m:m")
+    is_before_end = (pl.col("row") < pl.col("end_row")).fill_null(True)
+    flown = pairs.filter(pl.col("row") >= pl.col("first_row"), is_before_end).sort("life_id", "row")
+    return flown.with_columns(
+        column=pl.col("value").is_not_null().cum_sum().over("life_id").cast(pl.Int64) - 1,
+        is_known=pl.col("row") >= pl.col("known_row"),
+        age_known=pl.col("first_row") > 0,
     )
 
 

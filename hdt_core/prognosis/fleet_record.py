@@ -15,7 +15,7 @@ import polars as pl
 
 from hdt_core.prognosis.feature_rows import Tracks
 from hdt_core.prognosis.recalibrate import TERMS
-from hdt_core.prognosis.unit_lives import episodes, life_table
+from hdt_core.prognosis.unit_lives import episodes, life_table, units_on_record
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Array
 
@@ -57,6 +57,10 @@ class FleetRecord:
     def lives(self) -> pl.DataFrame:
         """Cut the lives of all units."""
         return episodes(self.features, self.messages, self.maintenance)
+
+    def units(self) -> pl.DataFrame:
+        """Return which units flew by the record of each flight's time."""
+        return units_on_record(self.features, self.messages, self.maintenance)
 
 
 def month_of(departed_at: pl.Series) -> pl.Series:

@@ -261,8 +261,8 @@ def _forecast(
         old_keys = track.keys.filter(~is_new).select(*PACK, "flight_id", pl.lit(component).alias("component"))
         return pl.concat(parts), old_keys
 
-    all_lives = record.lives()
-    by_component = (predict_component(c, tracks(record.features, all_lives, c)) for c in PRIOR_RULES)
+    all_lives, units = record.lives(), record.units()
+    by_component = (predict_component(c, tracks(record.features, all_lives, c, units)) for c in PRIOR_RULES)
     predictions, old_keys = zip(*by_component, strict=True)
     models |= {month: assemble(base, folds[month], fits[month]) for month in tails}
     new_prognoses = pl.concat(predictions).with_columns(_version_of(models))

@@ -1,4 +1,4 @@
-"""Cut lives of units from flights, messages and the maintenance log."""
+"""Cut lives of units from flights, messages and the maintenance log, as far as the flights bear the log out."""
 
 from collections.abc import Sequence
 
@@ -6,11 +6,14 @@ import polars as pl
 
 from hdt_core.components import Component
 from hdt_core.components.pack import CC, HX
-from hdt_core.records.keys import LEG, PACK
-from hdt_core.records.unit_index import first_flights
+from hdt_core.health.work import judge_component
+from hdt_core.records.keys import AIRCRAFT, LEG, PACK
+from hdt_core.records.recoveries import LATE_DAYS, as_recovery, units_as_known
+from hdt_core.records.unit_index import NEW_UNIT, RENEWALS
 
 # a message is answered within nine flights, the log may be five flights late, and the day it names ends five later
 ANSWER_FLIGHTS = 20
+"""Flights before work whose message it answered where the flights do not show which loss it recovered."""
 
 
 def episodes(
@@ -21,13 +24,15 @@ def episodes(
 ) -> pl.DataFrame:
     """Cut lives of the exchangers and compressors, or of other components, failed or censored.
 
-    A message ends a life only if the unit is replaced soon after it and no inspection cleared the unit in between: a
-    jammed ram door raises the same message. A replacement without a message is preventive and censors the life.
+    A message ends a life only if work answered it and no inspection cleared the unit in between: a jammed ram door
+    raises the same message. A replacement without a message is preventive and censors the life; a wash ends a life only
+    where it answered a message. Which work there was, when and where, is judged by `records.recoveries`.
 
     Parameters
     ----------
     features : DataFrame
-        At least operator, tail, flight_id, pack, departed_at; one row a flight and pack.
+        At least operator, tail, flight_id, pack, departed_at; one row a flight and pack. Without a component's loss and
+        its standard deviation the log is taken at its word.
     messages, maintenance : DataFrame
         As stored by the raw stage (message_time, flight_id, pack, code; done_on, pack, component, action, finding).
 
@@ -38,8 +43,7 @@ def episodes(
         is the message's flight, or the last flight of the unit plus one), failed, removed (another unit came),
         age_known, mute (the operator has sent no message of any kind, so that its failures are not recorded).
     """
-    flights = flight_rows(features)
-    parts = [_lives(flights, messages, maintenance, component) for component in components]
+    parts = [_lives(loss_rows(features, c), messages, maintenance, c) for c in components]
     is_mute = ~pl.col("operator").is_in(messages["operator"].unique().implode())
     return pl.concat(parts).sort("component", *PACK, "life").with_columns(mute=is_mute)
 
@@ -96,23 +100,112 @@ def with_lives(flights: pl.DataFrame, lives: pl.DataFrame, component: str) -> pl
     )
 
 
+def loss_rows(features: pl.DataFrame, component: Component) -> pl.DataFrame:
+    """Number flights as `flight_rows` does, with the component's `loss` and `loss_sd`, null where absent."""
+    name = component.loss if component.loss in features.columns else "loss"
+    columns = {"loss": name, "loss_sd": f"{name}_sd"}
+    losses = [
+        (pl.col(name) if name in features.columns else pl.lit(None)).cast(pl.Float64).alias(alias)
+        for alias, name in columns.items()
+    ]
+    return flight_rows(features.with_columns(losses), "loss", "loss_sd")
+
+
+def units_on_record(features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+    """Return which unit flew by the record of the time, `units_as_known` of the exchanger and the compressor.
+
+    Parameters
+    ----------
+    features, messages, maintenance : DataFrame
+        As for `episodes`.
+    """
+    parts = []
+    for component in (HX, CC):
+        flights = loss_rows(features, component)
+        units = units_as_known(flights, judge_component(flights, messages, maintenance, component))
+        parts.append(units.with_columns(component=pl.lit(component.code)))
+    return pl.concat(parts)
+
+
+def answers(
+    flights: pl.DataFrame,
+    judged: pl.DataFrame,
+    messages: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    component: Component,
+) -> pl.DataFrame:
+    """Match messages with the work that answered them.
+
+    Parameters
+    ----------
+    flights : DataFrame
+        Of `loss_rows`.
+    judged : DataFrame
+        Of `judge_component`.
+
+    Returns
+    -------
+    DataFrame
+        `PACK`, `message_row`, `next_row` (first flight after the work), `is_near` (within `ANSWER_FLIGHTS`), and of the
+        work `action`, `done_on`, `reference`, `verdict`.
+    """
+    work = _work_rows(flights, judged).filter(pl.col("action").is_in(RENEWALS))
+    work = work.with_columns(last_row=pl.col("next_row").shift(1).over(PACK).fill_null(0))
+    after = flights.select(*PACK, "loss", "loss_sd", next_row="row", next_day="day")
+    sent = _credible_messages(flights, messages, maintenance, component)
+    pairs = work.join(after, on=[*PACK, "next_row"], validate="m:1").join(sent, on=PACK, suffix="_then", validate="m:m")
+    pairs = pairs.filter(pl.col("message_row").is_between("last_row", "next_row"))
+    is_recent = pl.col("next_day") - pl.col("day") <= pl.duration(days=LATE_DAYS)
+    is_shown = pl.col("is_shown") & is_recent & as_recovery("loss_then", "loss_sd_then", "loss", "loss_sd")
+    pairs = pairs.with_columns(is_near=pl.col("message_row") >= pl.col("next_row") - ANSWER_FLIGHTS)
+    cleared = pairs.join(_cleared(maintenance, component), on=PACK, suffix="_cleared", validate="m:m").filter(
+        pl.col("done_on_cleared").is_between("day", "next_day", closed="right"), ~pl.col("is_near")
+    )
+    found = pairs.filter(pl.col("is_near") | is_shown)
+    found = found.join(cleared, on=[*PACK, "message_row", "next_row"], how="anti")
+    return found.select(*PACK, "message_row", "next_row", "is_near", "action", "done_on", "reference", "verdict").sort(
+        *PACK, "message_row"
+    )
+
+
+def _work_rows(flights: pl.DataFrame, judged: pl.DataFrame) -> pl.DataFrame:
+    """Join work that counts with `next_row`, the first flight after it; of several on one flight a replacement."""
+    work = (
+        judged.filter("in_force").with_columns(pack="position").sort("flown_from", "action", descending=[False, True])
+    )
+    if "reference" not in work.columns:
+        work = work.with_columns(reference=pl.lit(None, pl.String))
+    departures = flights.select(*PACK, "departed_at", next_row="row").sort("departed_at")
+    work = work.select(*AIRCRAFT, "pack", "action", "done_on", "reference", "verdict", "is_shown", "flown_from")
+    rows = work.join_asof(
+        departures,
+        left_on="flown_from",
+        right_on="departed_at",
+        by=PACK,
+        strategy="forward",
+        check_sortedness=False,
+    ).drop_nulls("next_row")
+    return rows.unique([*PACK, "next_row"], keep="first", maintain_order=True).sort(*PACK, "next_row")
+
+
 def _lives(
     flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
 ) -> pl.DataFrame:
-    changes = first_flights(flights, maintenance, (component.code,))
-    replaced_units = changes.select(*PACK, first_row="row")
-    initial = flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64))
+    judged = judge_component(flights, messages, maintenance, component)
+    answered = answers(flights, judged, messages, maintenance, component)
+    ends = answered.group_by(*PACK, "next_row").agg(pl.col("message_row").min())
+    replaced = _work_rows(flights, judged.filter(pl.col("action").is_in(NEW_UNIT)))
+    washed = answered.filter(~pl.col("action").is_in(NEW_UNIT))
+    starts = [
+        flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64), age_known=False),
+        replaced.select(*PACK, first_row="next_row", age_known=pl.col("next_row") > 0),
+        washed.select(*PACK, first_row="next_row", age_known=pl.lit(False)).unique(),
+    ]
+    lives = pl.concat(starts, how="vertical_relaxed").unique([*PACK, "first_row"], keep="first", maintain_order=True)
     last = flights.group_by(PACK).agg(n_rows=pl.len().cast(pl.Int64))
-    lives = pl.concat([initial, replaced_units]).unique().sort(*PACK, "first_row")
-    lives = lives.join(last, on=PACK, validate="m:1").with_columns(next_row=pl.col("first_row").shift(-1).over(PACK))
-    ends = _credible_messages(flights, messages, maintenance, component)
-    ends = lives.join(ends, on=PACK, how="left", validate="m:m").filter(
-        (pl.col("message_row") >= pl.col("first_row"))
-        & (pl.col("message_row") <= pl.col("next_row"))
-        & (pl.col("message_row") >= pl.col("next_row") - ANSWER_FLIGHTS)
-    )
-    ends = ends.group_by(*PACK, "first_row").agg(message_row=pl.col("message_row").min())
-    lives = lives.join(ends, on=[*PACK, "first_row"], how="left", validate="m:1")
+    lives = lives.sort(*PACK, "first_row").join(last, on=PACK, maintain_order="left", validate="m:1")
+    lives = lives.with_columns(next_row=pl.col("first_row").shift(-1).over(PACK))
+    lives = lives.join(ends, on=[*PACK, "next_row"], how="left", maintain_order="left", validate="m:1")
     return lives.select(
         *PACK,
         pl.lit(component.code).alias("component"),
@@ -121,7 +214,7 @@ def _lives(
         pl.coalesce("message_row", "next_row", "n_rows").alias("end_row"),
         pl.col("message_row").is_not_null().alias("failed"),
         pl.col("next_row").is_not_null().alias("removed"),
-        (pl.col("first_row") > 0).alias("age_known"),
+        "age_known",
     )
 
 
@@ -131,11 +224,16 @@ def _credible_messages(
     """Select rows with the component's message, without those followed by an inspection that found no fault."""
     sent = messages.filter(pl.col("code") == (component.message_code or "")).select(LEG).unique()
     rows = flights.join(sent, on=LEG, validate="m:1")
-    inspections = maintenance.filter(
-        (pl.col("component") == component.code) & (pl.col("finding") == "NO_FAULT_FOUND")
-    ).select(*PACK, "done_on")
+    inspections = _cleared(maintenance, component)
     # inspected on one of the three days after: the message had another cause (the same day's entry may precede it)
     false_rows = rows.join(inspections, on=PACK, validate="m:m").filter(
         (pl.col("done_on") - pl.col("day")).is_between(pl.duration(days=1), pl.duration(days=3))
     )
-    return rows.join(false_rows, on=[*PACK, "row"], how="anti").select(*PACK, pl.col("row").alias("message_row"))
+    credible = rows.join(false_rows, on=[*PACK, "row"], how="anti")
+    return credible.select(*PACK, "day", "loss", "loss_sd", message_row="row")
+
+
+def _cleared(maintenance: pl.DataFrame, component: Component) -> pl.DataFrame:
+    """Return days on which an inspection found no fault in the component: `PACK`, `done_on`."""
+    is_clear = (pl.col("component") == component.code) & (pl.col("finding") == "NO_FAULT_FOUND")
+    return maintenance.filter(is_clear).select(*PACK, "done_on")

@@ -52,6 +52,8 @@ def number_units(
 ) -> pl.DataFrame:
     """Add `name`: the number of replacements of the component (or other `actions`) before the flight, by the log.
 
+    Work that turned out not to have been done counts until then, its `until` where the log has such a column.
+
     Parameters
     ----------
     flights : DataFrame
@@ -59,8 +61,14 @@ def number_units(
     maintenance : DataFrame
         `PACK`, `component`, `action`, and what `date_entries` reads.
     """
-    entries = select_entries(maintenance, (component,), actions).rename({"counts_from": "departed_at"})
-    numbers = entries.select(*PACK, "departed_at", pl.int_range(1, pl.len() + 1).over(PACK).alias(name))
+    begins = select_entries(maintenance, (component,), actions).select(*PACK, "counts_from", change=1)
+    ends = begins.clear()
+    if "until" in maintenance.columns:
+        ended = maintenance.drop_nulls("until").with_columns(counts_from="until")
+        ends = select_entries(ended, (component,), actions).select(*PACK, "counts_from", change=-1)
+    changes = pl.concat([begins, ends]).sort("counts_from", *PACK, "change")
+    numbers = changes.select(*PACK, departed_at="counts_from", number=pl.col("change").cum_sum().over(PACK))
+    numbers = numbers.rename({"number": name})
     rows = flights.sort("departed_at", maintain_order=True).join_asof(
         numbers, on="departed_at", by=PACK, check_sortedness=False
     )

@@ -107,6 +107,7 @@ TABLES: dict[str, StoredTable] = {
     "features_cross_checks": StoredTable(features.FeaturesCrossChecks, "flight", _FLIGHT_PACK, "month"),
     "features_margin": StoredTable(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
     "features": StoredTable(features.Features, "aircraft", ("departed_at", "flight_id", "pack")),
+    "features_work": StoredTable(raw.FeaturesWork, "aircraft", ("done_on", "pack", "component", "reference")),
     "features_alerts": StoredTable(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
     "prognosis_base": StoredTable(prognosis.PrognosisBase, "fleet", ("model_version",), whole=True),
     "prognosis_model": StoredTable(prognosis.PrognosisModel, "fleet", ("month",), whole=True),

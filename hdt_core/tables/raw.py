@@ -201,6 +201,22 @@ class RawMaintenanceNotDone(RawMaintenance):
     """One piece of work on the log that was not done, by its status: planned, deferred, open or cancelled."""
 
 
+class FeaturesWork(RawMaintenance):
+    """One piece of work that renews a unit or lowers its loss, judged by the flights around it."""
+
+    verdict = text(
+        "logged (as the log has it), late (logged after the flights show it), elsewhere (done at the other position), "
+        "repeated (listed before) or not_seen (ten flights since do not show it)",
+        nullable=False,
+    )
+    in_force = flag("whether the work counts")
+    position = column(dy.Int32, "pack worked on, by the flights", nullable=True)
+    flown_from = moment("flights that depart from then on were flown after the work, by the flights")
+    known_from = moment("from when the record let it count; null where that is not settled yet", nullable=True)
+    known_until = moment("until when, where it turned out not to have been done, or to be listed twice", nullable=True)
+    is_shown = flag("whether a loss recovered")
+
+
 class RawChecks(AircraftTable):
     """One check that is planned for an aircraft."""
 

@@ -180,6 +180,7 @@ class ComponentList(Table):
     diagnosis = text("alert that calls it worn", nullable=False)
     limit_loss = number("loss at which it fails, before any failure was seen")
     recorded = flag("it has files of its own; else it is part of the pack")
+    prior_sd = number("standard deviation of the loss of a unit at entry, before any flight", low=0)
     version = text("digest of its declaration", nullable=False)
 
 

@@ -50,6 +50,8 @@ RENEWAL_UNLOGGED, RENEWAL_LOGGED = 1 / 400, 0.5
 LATE_FLIGHTS, LOG_LATE, NEVER_LOGGED = 8, 1 / 60, 0.03
 """Flights that an entry may be late; chance of work on the very flight it names, beside that of a step shown before it;
 that an entry never comes where a log is kept."""
+NOT_DONE = 0.02
+"""Chance that work on the log was not done, beside that of work on the very flight it names."""
 NOT_NEW_FLIGHTS = 10**6
 """Flights since the renewal of a core that was not new at entry."""
 SURPRISE = 2.0
@@ -189,7 +191,10 @@ def _merge(b: Hypotheses, heads: Array) -> Hypotheses:
 
 
 def apply_log(b: Hypotheses, flight: Observation, settings: Settings) -> Hypotheses:
-    """Apply an entry of the log to each hypothesis: the core it names is new or washed, unless it already was."""
+    """Apply an entry of the log to each hypothesis: the core it names is new or washed, unless it already was.
+
+    The work may not have been done: then the core stays as it was, and the flights soon settle which.
+    """
     due, recent = flight.log_due > 0, b.since <= LATE_FLIGHTS
     acts, missing = due & ~recent, b.unlogged & (b.since == LATE_FLIGHTS + 1) & (flight.log_kept > 0)
     weight = b.log_weight + np.where(acts, np.log(LOG_LATE), 0.0) + np.where(missing, np.log(NEVER_LOGGED), 0.0)
@@ -197,7 +202,8 @@ def apply_log(b: Hypotheses, flight: Observation, settings: Settings) -> Hypothe
     if not acts.any():
         return b
     washes = _wash(b.at(acts & (flight.log_due == WASH)), WASH_LEAVES, WASH_LEAVES_SD, settings)
-    return join([b.at(~acts), washes, *_renew(b.at(acts & (flight.log_due == REPLACEMENT)), settings)])
+    not_done = _chance(b.at(acts), NOT_DONE)
+    return join([b.at(~acts), not_done, washes, *_renew(b.at(acts & (flight.log_due == REPLACEMENT)), settings)])
 
 
 def branch_on_surprise(

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import polars as pl
 
+from hdt_core.calibration import baseline_wear
 from hdt_core.components import Component, component_rows, recorded_components
 from hdt_core.components.pack import CC, HX
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
 from hdt_core.records.keys import FLIGHT, LEG
 from hdt_core.tables import TABLES
+from hdt_core.tracking import track
 from hdt_core.tracking.component_units import component_readings
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from pipelines.assets.raw import account, with_aircraft
@@ -29,7 +31,9 @@ SAMPLE = [*LEG, "component", "time_utc", "signal"]
 @stage
 def declared_components() -> pl.DataFrame:
     """List the pack's components and those that packages declare."""
-    return pl.DataFrame(component_rows())
+    prior_sds = {HX.code: baseline_wear.entry_sd(baseline_wear.ENTRY), CC.code: baseline_wear.entry_sd(track.ENTRY)}
+    rows = [row | {"prior_sd": prior_sds.get(str(row["component"]))} for row in component_rows()]
+    return pl.DataFrame(rows, infer_schema_length=None)
 
 
 def of_pack(rows: pl.DataFrame) -> pl.DataFrame:

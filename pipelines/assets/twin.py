@@ -9,11 +9,13 @@ from hdt_core.alerts.alerts import component_features, raise_alerts, raise_compo
 from hdt_core.alerts.succession import lines_of_night
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.components.pack import CC, HX
 from hdt_core.flight.admission import NominalBaseline, leg_indicators
 from hdt_core.flight.control_schedules import ControlSchedules
 from hdt_core.health.features import features as describe
 from hdt_core.health.residuals import residuals as compare
 from hdt_core.health.sensor_checks import cross_checks
+from hdt_core.health.work import judge_log, known_log, settled_log
 from hdt_core.margin.exchanger_demand import exchanger_demand
 from hdt_core.records.keys import FLIGHT
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
@@ -94,25 +96,32 @@ def features(
     residuals: pl.DataFrame,
     legs_verdicts: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
+    raw_messages: pl.DataFrame,
     twin_flights: pl.DataFrame,
     features_cross_checks: pl.DataFrame,
     features_margin: pl.DataFrame,
     residuals_components: pl.DataFrame,
     legs_components: pl.DataFrame,
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Join health, residuals, trends, virtual sensors and cross checks of door and sensors, by flight and pack."""
-    inputs = (twin_health, residuals_components, legs_components, raw_maintenance)
+) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
+    """Join health, residuals, trends, virtual sensors and cross checks of door and sensors, by flight and pack.
+
+    The maintenance log is judged by the losses first.
+    """
+    declared = recorded_in(legs_components)
+    judged = judge_log(twin_health, raw_messages, raw_maintenance, (HX, CC, *declared))
+    known = known_log(raw_maintenance, judged)
+    inputs = (twin_health, residuals_components, legs_components, known)
     pack = describe(
         of_pack(twin_health),
         residuals,
         legs_verdicts,
-        raw_maintenance,
+        known,
         twin_flights=twin_flights,
         cross_checks=features_cross_checks,
         demand=features_margin,
     )
-    components = [component_features(*inputs, c) for c in recorded_in(legs_components)]
-    return pack, conform_all("features_components", components)
+    components = [component_features(*inputs, c) for c in declared]
+    return pack, conform_all("features_components", components), judged
 
 
 @stage
@@ -121,15 +130,16 @@ def features_alerts(
     home: Home,
     features: pl.DataFrame,
     features_components: pl.DataFrame,
+    features_work: pl.DataFrame,
     raw_maintenance: pl.DataFrame,
 ) -> pl.DataFrame:
     """Raise alerts: which loss grew, since when, what else could explain it, what to do.
 
     Where an alert of the night before is another one now, the log of cases gets a line: its case goes on with that.
     """
-    limits = alert_limits(Path(home.home))
-    alerts = raise_alerts(features, raw_maintenance, limits)
-    inputs = (features_components, raw_maintenance)
+    limits, work = alert_limits(Path(home.home)), settled_log(raw_maintenance, features_work)
+    alerts = raise_alerts(features, work, limits)
+    inputs = (features_components, work)
     others = (raise_component_alerts(*inputs, c, limits) for c in recorded_in(features_components))
     now, before = conform_all("features_alerts", [alerts, *others]), scope.read_table(home.store, "features_alerts")
     departures = pl.concat([features["departed_at"], features_components["departed_at"]])

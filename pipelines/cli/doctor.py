@@ -14,7 +14,7 @@ import duckdb
 import polars as pl
 
 from pipelines.digest.declaration import NotifyError, receivers_of
-from pipelines.intake.faults import REASONS, ignored_entries, silent_columns, silent_lines
+from pipelines.intake.faults import REASONS, ignored_entries, refused_logs, silent_columns, silent_lines
 from pipelines.intake.findings import NAME as NAME_OF_COSTS
 from pipelines.intake.findings import CostError, read_costs
 from pipelines.intake.held import HELD_GROUPS, held_flights, held_lines
@@ -55,6 +55,8 @@ class Check:
 
 def examine(landing: Path | None, home: Path | None) -> Iterator[Check]:
     """Check the installation, and the folders that are given."""
+    if home is not None and (home / CATALOG).exists():
+        yield from _logs(home)
     yield Check("python", sys.version_info >= (3, 11), f"{platform.python_version()}, {os.cpu_count()} cores")
     yield from _packages()
     if landing is not None:
@@ -162,6 +164,17 @@ def _home(home: Path) -> Iterator[Check]:
         if catalog.well:
             yield _feed(home)
             yield _record(home)
+
+
+def _logs(home: Path) -> Iterator[Check]:
+    """Check that no log is refused as a whole: without it no failure is on record."""
+    try:
+        with connect(home) as con:
+            refused = refused_logs(con)
+    except (OSError, duckdb.Error):  # a catalog that can't be read is checked below
+        return
+    if refused:
+        yield Check("logs", False, "; ".join(refused))
 
 
 def _check_read(name: str, read: Callable[[Path], str], home: Path) -> Check:

@@ -198,6 +198,7 @@ def _print_night(landing: Path, home: Path, night: Any, fault: str | None, secon
 
 
 def _print_results(home: Path, night: Any, seconds: float) -> None:
+    _print_log_faults(home)
     print_ranking(home)
     for where, why in night.failed.items():
         err.print(f"failed: {where}: {why}", soft_wrap=True)
@@ -206,6 +207,19 @@ def _print_results(home: Path, night: Any, seconds: float) -> None:
     )
     _print_refusals(home, night.new_paths)
     out.print(f"Catalog: {home / 'catalog.duckdb'}")
+
+
+def _print_log_faults(home: Path) -> None:
+    """Print logs of which most lines are refused, and work that the flights do not show as it is logged."""
+    from pipelines.intake.faults import judged_work_lines, refused_logs
+    from pipelines.storage.catalog import connect
+
+    with connect(home) as con:
+        refused, judged = refused_logs(con), judged_work_lines(con)
+    for line in refused:
+        err.print(f"refused: {line}", soft_wrap=True)
+    for line in judged:
+        err.print(f"log: {line}", soft_wrap=True)
 
 
 def _print_refusals(home: Path, files: frozenset[str]) -> None:
@@ -261,7 +275,9 @@ def _print_rows(title: str, rows: list[dict[str, Any]], outlooks: pl.DataFrame) 
         o = words.likeliest_outlook(outlooks, r)
         unit = f"{r['operator']} {r['tail']} {r['component'] + ' ' if 'name' in r else ''}{r['pack']}"
         diagnoses = words.diagnosis(r["diagnoses"]) if r["diagnoses"] else words.work_done(r)
-        table.add_row(unit, words.urgency(r), words.loss(r), words.flights_left(o), words.chance_by(o), diagnoses)
+        notes = ", ".join(filter(None, (diagnoses, words.switched_off(r))))
+        message = words.message_on_record(r) or words.chance_by(o)
+        table.add_row(unit, words.urgency(r), words.loss(r), words.flights_left(o), message, notes)
     out.print(table, soft_wrap=False)
     if (n := len(rows) - MAX_ROWS) > 0:
         out.print(several("{n} more in the report.", "{n} more in the report.", n))

@@ -102,6 +102,19 @@ _QUARANTINE_ROWS = """
 select file, reason, sum(n_rows)::bigint as n_rows from quarantine
 where n_rows > 0 group by file, reason order by n_rows desc, file, reason
 """
+_REFUSED_LOGS = """
+select d.file, d.quarantined, d.delivered, q.reason from deliveries as d
+inner join (
+    select file, mode(reason) as reason from quarantine where scope in ('file', 'row') group by file
+) as q on d.file = q.file
+where regexp_matches(d.file, '(^|/)(messages|maintenance|fleet)[.]csv$') and 2 * d.quarantined >= d.delivered
+and d.quarantined > 0
+order by d.file
+"""
+_JUDGED_WORK = """
+select operator, tail, pack, component, reference, done_on, note from maintenance
+where note is not null and status is null order by done_on desc, operator, tail, pack
+"""
 
 _OF_FILES = """
 select distinct file, scope = 'note' as is_note, reason from quarantine
@@ -143,6 +156,31 @@ def file_lines(con: "duckdb.DuckDBPyConnection", new_files: Collection[str], *, 
     reasons = con.sql(_OF_FILES).pl().filter(pl.col("file").is_in(list(new_files)), pl.col("is_note") == notes)
     sentences = {code: reason.sentence for code, reason in REASONS.items()}
     return ignored_entries(reasons.with_columns(detail=pl.col("reason").replace(sentences)))
+
+
+def refused_logs(con: "duckdb.DuckDBPyConnection") -> list[str]:
+    """Report each log and list of which most lines are refused: nothing in it counts, and no alert can make up for it.
+
+    Messages, maintenance and the fleet list.
+    """
+    lines = [
+        _("{file}: {n} of {lines} lines refused: {reason}", file=file, n=n, lines=n_lines, reason=_sentence(reason))
+        for file, n, n_lines, reason in con.execute(_REFUSED_LOGS).fetchall()
+    ]
+    return _limit_lines(lines, _("the view quarantine has them"))
+
+
+def judged_work_lines(con: "duckdb.DuckDBPyConnection") -> list[str]:
+    """Report work that was taken otherwise than it is logged."""
+    lines = [
+        f"{operator} {tail} {_('pack')} {pack} {component} {reference or ''} {done_on}: {note}"
+        for operator, tail, pack, component, reference, done_on, note in con.execute(_JUDGED_WORK).fetchall()
+    ]
+    return _limit_lines(lines, "hdt query 'from maintenance'")
+
+
+def _sentence(reason: str) -> str:
+    return REASONS[reason].sentence if reason in REASONS else reason
 
 
 def silent_columns(con: "duckdb.DuckDBPyConnection") -> list[Row]:

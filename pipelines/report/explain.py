@@ -74,7 +74,10 @@ def _text(con: duckdb.DuckDBPyConnection, tasks: Tasks, row: Row, others: Sequen
         units = "select component from tables.components where recorded"
         alerts = _alerts(con, tasks, f"{_UNIT} not in ({units})", *words.unit_key(row))
     opened = [a for a in alerts if a["closed_at"] is None]
-    lines = [_head(row), *words.unknown([row]), *(line for a in opened for line in ("", *_alert_lines(a)))]
+    state = [
+        f"{text[:1].upper()}{text[1:]}." for text in (words.message_on_record(row), words.switched_off(row)) if text
+    ]
+    lines = [_head(row), *state, *words.unknown([row]), *(line for a in opened for line in ("", *_alert_lines(a)))]
     if not opened:
         last = max(alerts, key=lambda a: a["closed_at"], default=None)
         lines.append(_("No alert is open.") + (f" {_before(last)}" if last else ""))

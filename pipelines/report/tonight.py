@@ -84,7 +84,7 @@ def _row(
         "flights_text": words.flights_left(outlook),
         "due": _due(outlook, facts.until()) if outlook["due_low_on"] else None,
         "chance": words.chance_before_check(outlook),
-        "chance_text": words.chance_by(outlook),
+        "chance_text": words.message_on_record(row) or words.chance_by(outlook),
         "to_do": _to_do(facts, row, alerts),
     }
 
@@ -99,6 +99,8 @@ def _notes(facts: Facts, row: Row, outlook: Row, alerts: list[Row]) -> Iterator[
         yield whose if loss is None else _("{whose}: {loss} lost", whose=whose, loss=words.percent(loss, 1))
     if row["work_action"]:
         yield words.work_done(row)
+    if off := words.switched_off(row):
+        yield off
     for day in facts["gaps"].filter(gap="silent_now", operator=row["operator"], tail=row["tail"])["from_at"]:
         yield _("no flight since {day}", day=words.day(day))
 

@@ -143,6 +143,28 @@ def chance_by(outlook: Row) -> str:
     return text if outlook["p_event_50"] is None else _("{chance} in 50 flights", chance=text)
 
 
+def message_on_record(row: Row) -> str:
+    """Format the message that nothing has answered: `message raised on 3 of the last 10 flights since 2024-06-09`.
+
+    Empty where there is none.
+    """
+    if row.get("message_at") is None:
+        return ""
+    n, flown, since = row["message_flights"], row["message_flown"], day(row["message_at"])
+    if n == 1:
+        return _("message raised on {day}, not answered", day=since)
+    if n >= flown:
+        return _("message raised on each of the last {n} flights since {day}", n=n, day=since)
+    return _("message raised on {n} of the last {flown} flights since {day}", n=n, flown=flown, day=since)
+
+
+def switched_off(row: Row) -> str:
+    """Format since when a pack is switched off; empty where it is not."""
+    if row.get("off_since") is None:
+        return ""
+    return _("switched off since {day}", day=day(row["off_since"]))
+
+
 def loss(row: Row) -> str:
     """Format the loss of a pack's exchanger, or of a unit, with its interval."""
     name = "loss" if "name" in row else "hx_fouling"

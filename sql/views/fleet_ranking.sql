@@ -1,8 +1,9 @@
 -- Which packs are most in need of attention tonight?
--- Of one urgency the dearer expected message comes first, then the likelier, then the fewer flights left.
--- urgency: act (a message before the next chance to act is more likely than not, or an alert demands it, by
--- unit_urgencies), plan (an alert is open, or that chance is one in ten), none, unknown (no estimate of the unit: its
--- columns are null)
+-- A message on record that nothing has answered stands before any forecast of one. Then, of one urgency, the dearer
+-- expected message comes first, then the likelier, then the fewer flights left.
+-- urgency: act (such a message, by open_messages, a message before the next chance to act that is more likely than not,
+-- or an alert demands it, by unit_urgencies), plan (an alert is open, or that chance is one in ten), none, unknown (no
+-- estimate of the unit, or one hardly surer than the prior: its columns are null)
 -- hx_fouling: fouling after the last flight [-]
 -- hx_fouling_sd: its standard deviation [-]
 -- diagnoses: diagnoses of the open alerts, the most urgent first
@@ -20,8 +21,12 @@
 -- work_action: CLEANED or REPLACED, where that was done to the exchanger since the last flight: its columns are null
 -- until the next
 -- work_on: day of that work
+-- message_at: time of the oldest message that nothing has answered
+-- message_flights: flights on which it came
+-- message_flown: flights since, the message's included
+-- off_since: departure of the first flight of the present row of flights with the pack switched off
 -- Grain: pack. Reads: health_parameters, missing_estimates, unit_urgencies, unestimated_units,
--- alert_urgencies, tables.components.
+-- alert_urgencies, open_messages, tables.legs_verdicts, tables.components.
 create or replace view fleet_ranking as
 with others as (
     select component
@@ -109,6 +114,43 @@ alerted as (
     group by operator, tail, pack
 ),
 
+unanswered as (
+    select
+        operator,
+        tail,
+        pack,
+        min(message_at) as message_at,
+        arg_min(n_flights, message_at) as message_flights,
+        arg_min(n_flown, message_at) as message_flown,
+        bool_or(is_pressing) as is_pressing
+    from open_messages
+    where component not in (select o.component from others as o)
+    group by operator, tail, pack
+),
+
+last_on as (
+    select
+        operator,
+        tail,
+        pack,
+        max(departed_at) as departed_at
+    from tables.legs_verdicts
+    where reason != 'PACK_OFF'
+    group by operator, tail, pack
+),
+
+switched_off as (
+    select
+        v.operator,
+        v.tail,
+        v.pack,
+        min(v.departed_at) as off_since
+    from tables.legs_verdicts as v
+    left join last_on as l on v.operator = l.operator and v.tail = l.tail and v.pack = l.pack
+    where v.reason = 'PACK_OFF' and (l.departed_at is null or v.departed_at > l.departed_at)
+    group by v.operator, v.tail, v.pack
+),
+
 judged as (
     select
         l.operator,
@@ -132,11 +174,18 @@ judged as (
         o.message_cost,
         w.work_action,
         w.work_on,
+        t.message_at,
+        t.message_flights,
+        t.message_flown,
+        s.off_since,
+        coalesce(t.is_pressing, false) as is_pressing,
         coalesce(o.urgencies, []) as urgencies,
         coalesce(a.any_act, false) as any_act
     from latest as l
     left join outlook as o on l.operator = o.operator and l.tail = o.tail and l.pack = o.pack
     left join alerted as a on l.operator = a.operator and l.tail = a.tail and l.pack = a.pack
+    left join unanswered as t on l.operator = t.operator and l.tail = t.tail and l.pack = t.pack
+    left join switched_off as s on l.operator = s.operator and l.tail = s.tail and l.pack = s.pack
     left join unestimated_units as w
         on l.operator = w.operator and l.tail = w.tail and l.pack = w.pack and w.component = 'HX'
 ),
@@ -145,7 +194,7 @@ urgent as (
     select
         *,
         case
-            when any_act or 'act' in urgencies then 'act'
+            when is_pressing or any_act or 'act' in urgencies then 'act'
             when diagnoses is not null or 'plan' in urgencies then 'plan'
             when hx_fouling is null and work_action is null then 'unknown'
             else 'none'
@@ -175,6 +224,7 @@ select
     row_number() over (
         order by
             list_position(['act', 'plan', 'none', 'unknown'], u.urgency) asc,
+            u.is_pressing desc,
             u.message_cost desc nulls last,
             u.chance desc nulls last,
             u.rul_flights asc nulls last,
@@ -187,7 +237,11 @@ select
     m.reason as missing_reason,
     m.columns as missing_columns,
     u.work_action,
-    u.work_on
+    u.work_on,
+    u.message_at,
+    u.message_flights,
+    u.message_flown,
+    u.off_since
 from urgent as u
 left join missing_estimates as m
     on u.operator = m.operator and u.tail = m.tail and u.pack = m.pack and m.component = 'HX';

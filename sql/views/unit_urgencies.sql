@@ -2,8 +2,9 @@
 -- The next chance to act is that of check_chances; without a flight rate or points, the next 50 flights.
 -- chance: of a message by then; the least it can be where the prognosis does not look so far [-]
 -- message_cost: expected cost of that message; NULL without a cost table [currency]
--- urgency: act (more likely than not, and no inspection contradicts it), plan (one in ten), none
--- Grain: operator, tail, pack, component. Reads: check_chances, tables.raw_costs.
+-- urgency: act (a message on record that nothing has answered, by open_messages; or more likely than not, and no
+-- inspection contradicts it), plan (one in ten), none
+-- Grain: operator, tail, pack, component. Reads: check_chances, open_messages, tables.raw_costs.
 create or replace view unit_urgencies as
 with message_costs as (
     select
@@ -32,10 +33,12 @@ chances as (
 )
 
 select
-    *,
+    c.*,
     case
-        when chance >= 0.5 and status = 'ok' then 'act'
-        when chance >= 0.1 then 'plan'
+        when m.is_pressing or (c.chance >= 0.5 and c.status = 'ok') then 'act'
+        when c.chance >= 0.1 then 'plan'
         else 'none'
     end as urgency
-from chances;
+from chances as c
+left join open_messages as m
+    on c.operator = m.operator and c.tail = m.tail and c.pack = m.pack and c.component = m.component;

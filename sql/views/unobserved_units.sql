@@ -1,20 +1,24 @@
 -- Of which units was nothing seen beyond the prior, and for how long?
 -- counts_from: since when the unit is fitted by the log of work; NULL where that was before the first entry
--- counts_to: departure of the first flight that moved the estimate of its loss, or since when the next unit is fitted;
+-- Beyond the prior is an estimate once its standard deviation is a third of the prior's, or five flights have moved it.
+-- counts_to: departure of the first flight after which its loss is so known, or since when the next unit is fitted;
 -- NULL where nothing is seen tonight
 -- Grain: operator, tail, pack, component, counts_from. Reads: health_parameters, tables.components,
 -- tables.raw_maintenance.
 create or replace view unobserved_units as
 with estimates as (
     select
-        operator,
-        tail,
-        pack,
-        component,
-        departed_at,
-        is_observed
-    from health_parameters
-    where parameter in (select c.loss from tables.components as c) or parameter = 'cc_diameter_loss'
+        h.operator,
+        h.tail,
+        h.pack,
+        h.component,
+        h.departed_at,
+        h.flight_id,
+        h.is_observed,
+        3 * h.sd <= c.prior_sd as is_sure
+    from health_parameters as h
+    left join tables.components as c on h.component = c.component
+    where h.parameter = c.loss or h.parameter = 'cc_diameter_loss'
 ),
 
 entries as (
@@ -45,15 +49,15 @@ units as (
     from entries
 ),
 
-observed as (
+flown as (
     select
-        u.operator,
-        u.tail,
-        u.pack,
-        u.component,
-        u.counts_from,
-        coalesce(min(e.departed_at) filter (where e.is_observed), u.ended_at) as counts_to,
-        min(e.departed_at) as first_departed_at
+        u.*,
+        e.departed_at,
+        e.is_observed,
+        e.is_sure,
+        count(*) filter (where e.is_observed) over (
+            partition by u.operator, u.tail, u.pack, u.component, u.counts_from order by e.departed_at, e.flight_id
+        ) as n_observed
     from units as u
     inner join estimates as e
         on
@@ -63,6 +67,21 @@ observed as (
             and u.component = e.component
             and u.counts_from <= e.departed_at
             and u.ended_at > e.departed_at
+),
+
+observed as (
+    select
+        u.operator,
+        u.tail,
+        u.pack,
+        u.component,
+        u.counts_from,
+        coalesce(
+            min(u.departed_at) filter (where u.is_observed and (coalesce(u.is_sure, true) or u.n_observed >= 5)),
+            u.ended_at
+        ) as counts_to,
+        min(u.departed_at) as first_departed_at
+    from flown as u
     group by u.operator, u.tail, u.pack, u.component, u.counts_from, u.ended_at
 )
 

@@ -2,6 +2,7 @@
 
 import datetime as dt
 
+import duckdb
 import polars as pl
 import pytest
 from answers import CHECKS, rows
@@ -9,6 +10,7 @@ from scipy.stats import binomtest
 from small_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
 
 from hdt_core.alerts.cases import UNOBSERVED
+from hdt_core.components import component_rows
 from hdt_core.records.unit_index import UTC, date_entries, number_units
 from pipelines.report.facts import OUTLOOKS
 from pipelines.storage.publication import views
@@ -311,3 +313,69 @@ def test_what_was_washed_or_replaced_since_the_last_flight_counts_at_once():
     later = {"raw_flights": flight(9), "twin_health": fouling(9, 0.02), "prognoses": flight(9) | PROGNOSIS}
     con = catalog(**tables | {name: [*tables[name], row] for name, row in later.items()})
     assert rows(con, ranking)[::2] == [("T-1", "plan", 0.02, 126.0, None), act]
+
+
+def flown_with(*messages: int, n: int = 80, **tables: list[dict]) -> duckdb.DuckDBPyConnection:
+    """Eighty flights of a pack, and messages on some of them."""
+    flown = {"twin_health": [fouling(k, 0.01) for k in range(n)], "raw_flights": [flight(k) for k in range(n)]}
+    return catalog(**flown, raw_messages=[message(k) for k in messages], **tables)
+
+
+@pytest.mark.parametrize(
+    ("messages", "urgency", "shown"),
+    [
+        ((78, 79), "act", True),
+        ((79,), "none", True),
+        ((20,), "none", False),
+        ((20, 21), "act", True),
+        ((), "none", False),
+    ],
+    ids=["on two flights", "on one", "lapsed", "on two long ago", "none"],
+)
+def test_message_on_record_makes_a_pack_urgent(messages, urgency, shown):
+    con = flown_with(*messages)
+
+    ranked = rows(con, "select urgency, message_at is not null from fleet_ranking")
+
+    assert ranked == [(urgency, shown)]
+
+
+@pytest.mark.parametrize("work", [replaced(79), replaced(79, "NO_FAULT_FOUND") | {"action": "INSPECTED"}])
+def test_work_answers_a_message(work):
+    con = flown_with(77, 78, raw_maintenance=[work])
+
+    assert rows(con, "select message_at from fleet_ranking") == [(None,)]
+
+
+def test_single_message_with_an_alert_is_urgent():
+    con = flown_with(79, features_alerts=[alert("open", 60)])
+
+    assert rows(con, "select is_supported, is_pressing from open_messages") == [(True, True)]
+
+
+def test_pack_off_since_first_flight_of_row():
+    off = [
+        flight(k) | {"pack": 1, "source": "acms", "reason": "PACK_OFF" if k in (3, 7, 8, 9) else ""} for k in range(10)
+    ]
+    con = flown_with(n=10, legs_verdicts=off)
+
+    assert rows(con, "select off_since from fleet_ranking") == [(START + dt.timedelta(days=7),)]
+
+
+@pytest.mark.parametrize(("observed", "urgency"), [(1, "unknown"), (5, "none")])
+def test_unit_hardly_surer_than_prior_is_unknown(observed, urgency):
+    flown = [fouling(k, 0.04) | {"sd": 0.036, "status": "ok" if k < observed else "predicted"} for k in range(20)]
+    components = [c | {"prior_sd": 0.066} for c in component_rows()]
+
+    con = catalog(twin_health=flown, raw_flights=[flight(k) for k in range(20)], components=components)
+
+    assert rows(con, "select urgency from fleet_ranking") == [(urgency,)]
+
+
+def test_line_of_log_that_was_not_seen_is_noted():
+    line = replaced(40) | {"position": 1, "flown_from": START, "known_from": START, "verdict": "not_seen"}
+    con = catalog(raw_maintenance=[replaced(40)], features_work=[line | {"in_force": False, "is_shown": False}])
+
+    noted = rows(con, "select in_force, note from maintenance")
+
+    assert noted == [(False, "replacement of 2024-04-10 not seen in the ten flights since")]

@@ -31,7 +31,7 @@ def fleet() -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
             tail, total, value = f"LX-T{number:02d}", 320, np.empty((0, len(COLUMNS)))
             flights = _flights(tail, pack, total)
             while len(value) < total:
-                track, message = next(lives)
+                track, message = next(life for life in lives if not len(value) or life[0][0, 0] < NEW_LOSS)
                 end = len(value) + message
                 value = np.concatenate([value, track[: message + 3]])
                 if end + 6 < total:  # the entry counts from the end of its day: three flights later at the most
@@ -43,6 +43,8 @@ def fleet() -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
     return pl.concat(features), _messages(messages), _maintenance(maintenance)
 
 
+NEW_LOSS = 0.1
+"""Loss below which a life may follow a replacement: another unit is not worn."""
 COLUMNS = (
     "hx_fouling", "hx_fouling_sd", "hx_ln_ua_ratio", "overheat_p20_k", "overheat_p50_k", "full_open_share", *CRITICAL,
 )  # fmt: skip

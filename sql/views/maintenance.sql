@@ -1,0 +1,64 @@
+-- What work does each line of the maintenance log list, and did it count?
+-- is_done: the work was done, by its status
+-- in_force: the work counts
+-- position: pack on which the flights show it
+-- flown_from: flights that depart from then on count as flown after it
+-- matched_by: log (as it is listed), recovery (when and where the flights show that a loss recovered)
+-- note: how it was taken otherwise than listed
+-- Grain: line of the log. Reads: tables.raw_maintenance, tables.raw_maintenance_not_done, tables.features_work,
+-- tables.raw_fleet.
+create or replace view maintenance as
+with airframes as (
+    select
+        operator,
+        tail,
+        max(msn) as msn
+    from tables.raw_fleet
+    group by operator, tail
+),
+
+lines as (
+    select
+        *,
+        true as is_done
+    from tables.raw_maintenance
+    union all by name
+    select
+        *,
+        false as is_done
+    from tables.raw_maintenance_not_done
+)
+
+select
+    m.*,
+    f.msn,
+    m.is_done and coalesce(w.in_force, true) as in_force,
+    coalesce(w.position, m.pack) as position,
+    coalesce(w.flown_from, m.counts_from) as flown_from,
+    case when w.verdict in ('late', 'elsewhere') then 'recovery' when m.is_done then 'log' end as matched_by,
+    case
+        when not m.is_done then 'not done: ' || m.status
+        when w.verdict = 'late'
+            then
+                'logged ' || date_diff('day', (w.flown_from at time zone 'UTC')::date, m.done_on)
+                || ' days after the flights show it'
+        when w.verdict = 'elsewhere' then 'the flights show it on pack ' || w.position
+        when w.verdict = 'repeated' then 'the same work is listed before'
+        when w.verdict = 'not_seen'
+            then
+                case when m.action = 'CLEANED' then 'wash' else 'replacement' end
+                || ' of ' || m.done_on || ' not seen in the ten flights since'
+    end as note
+from lines as m
+left join tables.features_work as w
+    on
+        m.is_done
+        and m.operator = w.operator
+        and m.tail = w.tail
+        and m.pack = w.pack
+        and m.component = w.component
+        and m.action = w.action
+        and m.counts_from = w.counts_from
+        and m.reference is not distinct from w.reference
+        and m.finding is not distinct from w.finding
+left join airframes as f on m.operator = f.operator and m.tail = f.tail;

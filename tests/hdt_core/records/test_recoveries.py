@@ -1,0 +1,144 @@
+"""The maintenance log judged by the flights: on time, late, elsewhere, twice, not done."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.records.recoveries import as_known, find_recoveries, judge_work, settle, units_as_known
+
+START = datetime(2024, 1, 1, tzinfo=UTC)
+PACK = {"operator": "AAA", "tail": "T-1"}
+FLIGHTS = 120
+RENEWED = 60
+"""Flight from which the worn pack is clean; there is a flight each eight hours."""
+WORN = np.where(np.arange(FLIGHTS) < RENEWED, 0.3, 0.01)
+CLEAN = np.full(FLIGHTS, 0.02)
+
+
+def departure(flight: int) -> datetime:
+    return START + timedelta(hours=8 * flight)
+
+
+def flown(*losses: np.ndarray, sd: float = 0.01) -> pl.DataFrame:
+    """Flights of packs 1, 2 ... with these losses."""
+    parts = [
+        pl.DataFrame({"departed_at": [departure(k) for k in range(loss.size)], "loss": loss}).with_columns(
+            **{name: pl.lit(value) for name, value in PACK.items()},
+            pack=pl.lit(pack, pl.Int32),
+            loss_sd=sd,
+            row=pl.int_range(loss.size),
+        )
+        for pack, loss in enumerate(losses, 1)
+    ]
+    return pl.concat(parts)
+
+
+def log(*entries: tuple[int, int], action: str = "REPLACED") -> pl.DataFrame:
+    """Entries by pack and the first flight after the work."""
+    rows = [{**PACK, "pack": pack, "component": "HX", "action": action, "done_on": departure(k).date(),
+             "done_at": departure(k)} for pack, k in entries]  # fmt: skip
+    return pl.DataFrame(rows).with_columns(pl.col("pack").cast(pl.Int32))
+
+
+def sent(*flights: int) -> pl.DataFrame:
+    rows = [{**PACK, "pack": 1, "message_time": departure(k)} for k in flights]
+    schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "message_time": pl.Datetime("us", "UTC")}
+    return pl.DataFrame(rows, schema=schema)
+
+
+def judge(flights: pl.DataFrame, entries: pl.DataFrame, messages: pl.DataFrame | None = None) -> pl.DataFrame:
+    messages = sent() if messages is None else messages
+    return judge_work(flights, entries, messages, "HX", ("REPLACED", "CLEANED")).sort("counts_from")
+
+
+def test_recovery_is_found_where_it_falls():
+    loss = np.where(np.arange(100) < 40, 0.2, np.where(np.arange(100) < 43, 0.17, 0.02))
+
+    assert find_recoveries(loss, np.full(100, 0.01)) == [43]
+
+
+@pytest.mark.parametrize(("loss", "sd"), [(0.049, 0.001), (0.2, 0.06), (np.nan, 0.01)])
+def test_small_fall_is_no_recovery(loss, sd):
+    track = np.where(np.arange(100) < 40, loss, 0.0)
+
+    assert find_recoveries(track, np.full(100, sd)) == []
+
+
+@pytest.mark.parametrize(
+    ("entry", "verdict", "position", "from_flight"),
+    [
+        ((1, RENEWED), "logged", 1, RENEWED),
+        ((1, RENEWED + 10), "logged", 1, RENEWED + 10),
+        ((1, RENEWED + 30), "late", 1, RENEWED),
+        ((2, RENEWED), "elsewhere", 1, RENEWED),
+        ((2, RENEWED + 30), "elsewhere", 1, RENEWED),
+        ((1, RENEWED - 30), "not_seen", 1, RENEWED - 30),
+    ],
+)
+def test_verdict_on_work(entry, verdict, position, from_flight):
+    judged = judge(flown(WORN, CLEAN), log(entry))
+
+    columns = judged.select("verdict", "position", "flown_from")
+    assert columns.row(0) == (verdict, position, departure(from_flight))
+
+
+@pytest.mark.parametrize("losses", [(CLEAN,), (np.full(FLIGHTS, np.nan),)])
+def test_log_counts_where_loss_shows_nothing(losses):
+    judged = judge(flown(*losses), log((1, RENEWED)))
+
+    assert judged["in_force"].to_list() == [True]
+
+
+@pytest.mark.parametrize(("since", "verdict"), [(9, "logged"), (10, "not_seen")])
+def test_ten_flights_settle_work_not_done(since, verdict):
+    worn = np.full(RENEWED + since, 0.3)
+
+    assert judge(flown(worn), log((1, RENEWED)))["verdict"].to_list() == [verdict]
+
+
+@pytest.mark.parametrize(("messages", "verdict"), [((), "repeated"), ((RENEWED + 2,), "logged")])
+def test_work_listed_twice(messages, verdict):
+    judged = judge(flown(WORN), log((1, RENEWED), (1, RENEWED + 3)), sent(*messages))
+
+    assert judged["verdict"].to_list() == ["logged", verdict]
+
+
+def test_settled_log_has_place_and_moment():
+    settled = settle(judge(flown(WORN, CLEAN), log((2, RENEWED + 30))))
+
+    assert settled.select("pack", "counts_from").row(0) == (1, departure(RENEWED))
+
+
+def test_work_not_done_counts_until_known():
+    known = as_known(judge(flown(np.full(FLIGHTS, 0.3)), log((1, RENEWED))))
+
+    assert known.select("counts_from", "until").row(0) == (departure(RENEWED), departure(RENEWED + 9))
+
+
+@pytest.mark.parametrize(
+    ("loss", "entry", "units"),
+    [
+        (WORN, RENEWED, [(0, 0), (RENEWED, RENEWED)]),
+        (WORN, RENEWED + 30, [(0, 0), (RENEWED + 30, RENEWED)]),
+        (np.full(FLIGHTS, 0.3), RENEWED, [(0, 0), (RENEWED, RENEWED), (RENEWED + 9, 0)]),
+    ],
+    ids=["on time", "late", "not done"],
+)
+def test_units_follow_the_record_of_their_time(loss, entry, units):
+    flights = flown(loss)
+
+    known = units_as_known(flights, judge(flights, log((1, entry))))
+
+    assert known.select("known_row", "first_row").rows() == units
+
+
+@pytest.mark.parametrize("loss", [WORN, np.full(FLIGHTS, 0.3)], ids=["late", "not done"])
+def test_units_known_then_need_no_later_flight(loss):
+    entries = log((1, RENEWED + 30) if loss is WORN else (1, RENEWED))
+    whole, early = flown(loss), flown(loss[:95])
+
+    then, now = (units_as_known(f, judge(f, entries)) for f in (early, whole))
+
+    assert then.rows() == now.filter(pl.col("known_row") < 95).rows()
