@@ -156,12 +156,14 @@ def answers(
     pairs = work.join(after, on=[*PACK, "next_row"], validate="m:1").join(sent, on=PACK, suffix="_then", validate="m:m")
     pairs = pairs.filter(pl.col("message_row").is_between("last_row", "next_row"))
     is_recent = pl.col("next_day") - pl.col("day") <= pl.duration(days=LATE_DAYS)
-    is_shown = pl.col("is_shown") & is_recent & as_recovery("loss_then", "loss_sd_then", "loss", "loss_sd")
+    has_recovered = as_recovery("loss_then", "loss_sd_then", "loss", "loss_sd")
+    is_shown = pl.col("is_shown") & is_recent & has_recovered
+    is_logged = pl.col("is_near") & (pl.col("action").is_in(NEW_UNIT) | has_recovered)
     pairs = pairs.with_columns(is_near=pl.col("message_row") >= pl.col("next_row") - ANSWER_FLIGHTS)
     cleared = pairs.join(_cleared(maintenance, component), on=PACK, suffix="_cleared", validate="m:m").filter(
         pl.col("done_on_cleared").is_between("day", "next_day", closed="right"), ~pl.col("is_near")
     )
-    found = pairs.filter(pl.col("is_near") | is_shown)
+    found = pairs.filter(is_logged | is_shown)
     found = found.join(cleared, on=[*PACK, "message_row", "next_row"], how="anti")
     return found.select(*PACK, "message_row", "next_row", "is_near", "action", "done_on", "reference", "verdict").sort(
         *PACK, "message_row"
