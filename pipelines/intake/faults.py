@@ -167,7 +167,7 @@ def refused_logs(con: "duckdb.DuckDBPyConnection") -> list[str]:
         _("{file}: {n} of {lines} lines refused: {reason}", file=file, n=n, lines=n_lines, reason=_sentence(reason))
         for file, n, n_lines, reason in con.execute(_REFUSED_LOGS).fetchall()
     ]
-    return _limit_lines(lines, _("the view quarantine has them"))
+    return limit_lines(lines, _("the view quarantine has them"))
 
 
 def judged_work_lines(con: "duckdb.DuckDBPyConnection") -> list[str]:
@@ -176,7 +176,7 @@ def judged_work_lines(con: "duckdb.DuckDBPyConnection") -> list[str]:
         f"{operator} {tail} {_('pack')} {pack} {component} {reference or ''} {done_on}: {note}"
         for operator, tail, pack, component, reference, done_on, note in con.execute(_JUDGED_WORK).fetchall()
     ]
-    return _limit_lines(lines, "hdt query 'from maintenance'")
+    return limit_lines(lines, "hdt query 'from maintenance'")
 
 
 def _sentence(reason: str) -> str:
