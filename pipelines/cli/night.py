@@ -179,8 +179,19 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         _print_night(landing, home, night, fault, seconds)
     for line in (*night.failed_deliveries, *night.failed_hooks):
         print_error(line)
-    if night.failed or night.failed_hooks:
+    if clock := "" if night.idle else _clock_fault(home, night.new_paths):
+        print_error(clock)
+    if night.failed or night.failed_hooks or clock:
         raise typer.Exit(1)
+
+
+def _clock_fault(home: Path, files: frozenset[str]) -> str:
+    """Describe the machine's clock where most of what is new lies after it."""
+    from pipelines.intake.held import clock_fault
+    from pipelines.storage.catalog import connect
+
+    with connect(home) as con:
+        return clock_fault(con, files)
 
 
 def _print_night(landing: Path, home: Path, night: Any, fault: str | None, seconds: float) -> None:

@@ -36,6 +36,23 @@ def describe_held(group: Mapping[str, Any]) -> str:
     return f"{name}. {REASONS[group['reason']].sentence} {cause}".rstrip()
 
 
+_NEW_FLIGHTS = """
+select count(distinct d.operator || d.flight_id) as n,
+    count(distinct d.operator || d.flight_id) filter (h.reason = 'after_clock') as n_after
+from tables.raw_deliveries as d
+left join held_flights as h on d.operator = h.operator and d.flight_id = h.flight_id
+where d.loaded > 0 and list_contains($files, d.file)
+"""
+
+
+def clock_fault(con: "duckdb.DuckDBPyConnection", new_files: Iterable[str]) -> str:
+    """Describe the machine's clock where most of the flights in new files lie after it; empty otherwise."""
+    ((n, n_after),) = con.execute(_NEW_FLIGHTS, {"files": sorted(new_files)}).fetchall()
+    if 2 * n_after <= n:
+        return ""
+    return _("this machine's clock is wrong: {late} of {n} new flights lie after it and wait", late=n_after, n=n)
+
+
 def cause_in_words(cause: str) -> str:
     """Name a likely cause."""
     return {
