@@ -151,7 +151,7 @@ STAGES = (
     ),
     declare_stage("record", "record", HELD, parents=("raw_flights",), judged=True, label="judgement of the record"),
     declare_stage(
-        "legs", "legs", "legs_samples", "legs_verdicts", parents=("raw_flights", HELD), code="4",
+        "legs", "legs", "legs_samples", "legs_verdicts", "legs_channels", parents=("raw_flights", HELD), code="5",
         fresh="legs_verdicts", label="legs",
     ),
     declare_stage(

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hdt_core.alerts.cases import Grid
+from hdt_core.flight.samples import SHARED_SENSORS
 from hdt_core.health.detection import Shift
 from hdt_core.robust import Array
 
@@ -101,8 +102,6 @@ NO_SENSOR = ("hx", "cc", "nothing")
 PART_CHANGE_ODDS = 10.0
 """Odds of such a change, and of nothing but chance, against the fault of one sensor: parts wear on every flight, a
 sensor fails once in some thousands."""
-SHARED_SENSORS = ("tat_k", "total_pressure_pa", "mach")
-"""Sensors of which both packs may record one and the same."""
 EFFECT_ERROR = 0.3
 """Relative error of one entry of the matrix: types and flights differ."""
 STRAY, STRAY_SD = 1e-3, 20.0

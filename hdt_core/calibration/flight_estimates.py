@@ -11,7 +11,7 @@ from hdt_core.calibration.inlet_law import inlet_above_law
 from hdt_core.calibration.sensor_biases import exit_differences
 from hdt_core.estimation.descent import gauss_newton
 from hdt_core.estimation.problem import Problem, unknown
-from hdt_core.flight.legs import RUNNING_KG_S
+from hdt_core.flight.samples import RUNNING_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance, with_static_pressure
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER

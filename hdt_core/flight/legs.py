@@ -3,15 +3,27 @@
 import polars as pl
 
 from hdt_core.components.pack import CC, HX
+from hdt_core.flight.channels import (
+    LOWER_RATE,
+    NO_CHANNELS,
+    ONE_CHANNEL,
+    count_gaps,
+    find_channels,
+    lost_share,
+    null_channels,
+)
 from hdt_core.flight.samples import (
     CRUISE_FLOOR_M,
+    RUNNING_KG_S,
     SIGNALS,
     add_phases,
     average_log,
     null_bad_values,
     number_legs,
+    reading_step,
     seconds_between,
     steady_snapshots,
+    thin_log,
 )
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG, PACK, is_among
 
@@ -29,7 +41,6 @@ MODEL_SIGNALS = (
 )
 MIN_NOMINAL = 2  # samples of steady cruise that a leg must have
 DROPOUT_SHARE, DROPOUT_ROWS = 0.12, 3  # of a signal's values missing in a leg that has the sensor
-RUNNING_KG_S = 0.2  # flow below which a pack is off
 DOOR_STILL, DOOR_STILL_ROWS, DOOR_STILL_RISE_M = 0.035, 8, 4_000.0  # a door still through a climb is jammed
 ICING_TAT_K = (268.15, 283.15)  # -5 to +10 degC: water may be supercooled and freeze on the core
 ICING_BELOW_M = 6_700.0  # 22,000 ft: icing clouds
@@ -38,6 +49,7 @@ REASONS = {
     "NO_CRUISE": "no steady cruise: nothing to calibrate on",
     "PACK_OFF": "the pack was off",
     "OTHER_PACK_OFF": "the other pack was off, this one carried the load of both",
+    "ONE_CHANNEL": "both packs' signals are one channel under two names",
     "SENSOR_MISSING": "a fitted sensor dropped out",
     "SENSOR_FROZEN": "a sensor repeated one reading where it must have moved",
     "DOOR_STILL": "the ram air door stood still through climb or descent",
@@ -45,13 +57,15 @@ REASONS = {
 }
 
 
-def judge_legs(snapshots: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+def judge_legs(snapshots: pl.DataFrame, channels: pl.DataFrame | None = None) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Apply the rules to every flight and pack by its own record, and prepare its samples.
 
     Parameters
     ----------
     snapshots : DataFrame
-        Recorded rows of both kinds, see `hdt_core.tables`; `source` is `acms` (snapshots) or `cpl` (1 Hz).
+        Recorded rows of both kinds, see `hdt_core.tables`; `source` is `acms` (snapshots) or `cpl` (1/8 to 8 Hz).
+    channels : DataFrame, optional
+        `channels.find_channels(snapshots)`, where it is known.
 
     Returns
     -------
@@ -62,16 +76,18 @@ def judge_legs(snapshots: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
         One row for each snapshot and each averaged minute of a 1 Hz log, bad values nulled, with `phase`, `monitored`
         (steady cruise, complete, sick or not), `nominal` (monitored, in an admitted leg, no icing) and `n_averaged`.
     """
-    samples = prepare_samples(snapshots)
-    legs = _give_reasons(number_flights(_summarise(samples)))
+    channels = find_channels(snapshots) if channels is None else channels
+    samples = prepare_samples(snapshots, channels)
+    legs = _give_reasons(number_flights(_summarise(samples, channels)))
     rows = samples.join(legs.select(*LEG, "admitted"), on=LEG, how="left", maintain_order="left", validate="m:1")
     nominal = pl.col("monitored") & pl.col("admitted") & ~pl.col("icing")
     return legs, rows.with_columns(nominal.alias("nominal")).drop("admitted")
 
 
-def prepare_samples(snapshots: pl.DataFrame) -> pl.DataFrame:
+def prepare_samples(snapshots: pl.DataFrame, channels: pl.DataFrame = NO_CHANNELS) -> pl.DataFrame:
     """Screen values, add phases, average logs; `monitored` where a sample is steady cruise and complete."""
-    ordered = number_legs(snapshots.sort(*RECORD_KEY, "time_utc", maintain_order=True), RECORD_KEY)
+    in_order = null_channels(snapshots, channels).sort(*RECORD_KEY, "time_utc", maintain_order=True)
+    ordered = number_legs(thin_log(in_order, by=RECORD_KEY), RECORD_KEY)
     is_repeat = (pl.col("_leg") == pl.col("_leg").shift(1)) & (pl.col("time_utc") == pl.col("time_utc").shift(1))
     first = pl.col("time_utc").min().over(FLIGHT)
     records = ordered.filter(~is_repeat.fill_null(False)).drop("_leg").with_columns(first.alias("departed_at"))
@@ -79,7 +95,10 @@ def prepare_samples(snapshots: pl.DataFrame) -> pl.DataFrame:
     reports = steady_snapshots(phases.filter(pl.col("source") == "acms"), by=RECORD_KEY).with_columns(
         pl.lit(1, pl.Int64).alias("n_averaged")
     )
-    log = average_log(phases.filter(pl.col("source") == "cpl"), by=RECORD_KEY)
+    slower = channels.filter(source="cpl", reason=LOWER_RATE).pivot(
+        "signal", index=RECORD_KEY, values="delivered_share"
+    )
+    log = average_log(phases.filter(pl.col("source") == "cpl"), by=RECORD_KEY, delivered_shares=slower)
     rows = pl.concat([reports.drop("phase_code"), log], how="diagonal").sort(*LEG, "time_utc", "source")
     complete = pl.all_horizontal(pl.col(s).is_not_null() for s in MODEL_SIGNALS)
     running = pl.col("pack_flow_kg_s") > RUNNING_KG_S
@@ -90,7 +109,7 @@ def prepare_samples(snapshots: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def _summarise(samples: pl.DataFrame) -> pl.DataFrame:
+def _summarise(samples: pl.DataFrame, channels: pl.DataFrame) -> pl.DataFrame:
     """Summarise each flight and pack in the quantities of the rules."""
     cruise = pl.col("phase") == "cruise"
     cruise_s = seconds_between(pl.col("time_utc").filter(cruise).max(), pl.col("time_utc").filter(cruise).min())
@@ -106,10 +125,14 @@ def _summarise(samples: pl.DataFrame) -> pl.DataFrame:
         pl.col("n_frozen").sum(),
         pl.col("pack_flow_kg_s").median().alias("_flow"),
         (pl.col("ram_door_open").quantile(0.95) - pl.col("ram_door_open").quantile(0.05)).alias("_door_span"),
+        reading_step("ram_door_open").alias("_door_step"),
         (pl.col("altitude_m").max() - pl.col("altitude_m").min()).alias("_rise_m"),
         *(pl.col(s).null_count().alias(f"_missing_{s}") for s in SIGNALS),
     )
-    flights = legs.with_columns(pl.col("landed_at").max().over(FLIGHT))
+    flights = legs.with_columns(pl.col("landed_at").max().over(FLIGHT), pl.col("_door_step").min().over(FLIGHT))
+    shared = channels.filter(reason=ONE_CHANNEL).select(LEG).unique().with_columns(pl.lit(True).alias("_one_channel"))
+    for part in (count_gaps(channels), shared):
+        flights = flights.join(part, on=LEG, how="left", validate="1:1")
     return flights.with_columns(pl.col("^n_.*$").cast(pl.Int64)).sort(*LEG)
 
 
@@ -118,8 +141,10 @@ def _give_reasons(legs: pl.DataFrame) -> pl.DataFrame:
     rules = {
         "PACK_OFF": _is_off(pl.col("_flow")),
         "OTHER_PACK_OFF": _is_off(pl.col("_flow")).any().over(FLIGHT),
+        "ONE_CHANNEL": pl.col("_one_channel"),
         "SENSOR_FROZEN": pl.col("n_frozen") > 0,
         "DOOR_STILL": (pl.col("_door_span") < DOOR_STILL)
+        & (pl.col("_door_step") < DOOR_STILL).fill_null(True)
         & (pl.col("n_samples") >= DOOR_STILL_ROWS)
         & (pl.col("_rise_m") > DOOR_STILL_RISE_M),
         "SENSOR_MISSING": pl.any_horizontal(_dropped_out(s) for s in SIGNALS),
@@ -128,7 +153,7 @@ def _give_reasons(legs: pl.DataFrame) -> pl.DataFrame:
     }
     first = pl.coalesce(*(pl.when(rule).then(pl.lit(code)) for code, rule in rules.items()), pl.lit(""))
     rows = legs.with_columns(first.alias("reason")).with_columns((pl.col("reason") == "").alias("admitted"))
-    return rows.drop("_flow", "_door_span", "_rise_m", *(f"_missing_{s}" for s in SIGNALS))
+    return rows.drop(pl.selectors.starts_with("_", "gaps_"))
 
 
 def _is_off(flow: pl.Expr) -> pl.Expr:
@@ -138,8 +163,8 @@ def _is_off(flow: pl.Expr) -> pl.Expr:
 def _dropped_out(signal: str) -> pl.Expr:
     """Flag far more gaps than a fitted sensor has; a signal missing on both packs of the flight is not fitted."""
     missing = pl.col(f"_missing_{signal}")
-    share = missing / pl.col("n_samples")
-    is_fitted = (share < 1.0).any().over(FLIGHT)
+    is_fitted = (missing < pl.col("n_samples")).any().over(FLIGHT)
+    share = lost_share(signal, missing, pl.col("n_samples"))
     return is_fitted & (missing >= DROPOUT_ROWS) & (share > DROPOUT_SHARE)
 
 

@@ -1,6 +1,7 @@
-"""Samples of a flight: phases, screens of single values, and steady state, at 1 Hz or at snapshot rate."""
+"""Samples of a flight: phases, screens of single values, and steady state, at 1/8 to 1 Hz or at snapshot rate."""
 
 from collections.abc import Sequence
+from math import erf, inf, log, sqrt
 
 import polars as pl
 
@@ -10,6 +11,7 @@ CRUISE_FLOOR_M = 4572.0  # 15,000 ft: holds and vectoring below it are no cruise
 CRUISE_SHARE = 0.6  # of the leg's highest altitude; steps between cruise levels stay above it
 CRUISE_MIN_S = 300.0  # a shorter level run is a level-off
 CONTINUOUS_GAP_S = 10.0  # records further apart are snapshots
+RUNNING_KG_S = 0.2  # flow below which a pack is off
 HALF_WINDOW_S = 30  # 60 s windows, as openap's FlightPhase takes
 GROUND_MACH = 0.15
 
@@ -48,14 +50,21 @@ def add_phases(records: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
        Aerospace Information Systems 14(10), 2017 (level rate, windows).
     """
     rows = records if "mach" in records.columns else records.with_columns(mach=pl.lit(None, pl.Float64))
-    rows = number_legs(rows.sort(*by, "time_utc"), by).with_columns(
-        pl.col("altitude_m").interpolate_by("time_utc").forward_fill().backward_fill().over("_leg").alias("_held_m"),
-        (seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(1)).median() <= CONTINUOUS_GAP_S)
-        .over("_leg")
-        .fill_null(False)
-        .alias("_log"),
+    rows = (
+        number_legs(rows.sort(*by, "time_utc"), by)
+        .with_columns(
+            pl.col("altitude_m")
+            .interpolate_by("time_utc")
+            .forward_fill()
+            .backward_fill()
+            .over("_leg")
+            .alias("_held_m"),
+            interval_s().over("_leg").alias("_interval_s"),
+        )
+        .with_columns((pl.col("_interval_s") <= CONTINUOUS_GAP_S).fill_null(False).alias("_log"))
     )
-    rates = pl.concat([_rate_log(rows.filter("_log")), _rate_snapshots(rows.filter(~pl.col("_log")))])
+    logs = rows.filter("_log").with_columns(pl.col("_interval_s").round()).partition_by("_interval_s")
+    rates = pl.concat([*map(_rate_log, logs), _rate_snapshots(rows.filter(~pl.col("_log")))])
     phases = _name_phase(_measure_runs(rates.sort("_leg", "time_utc")))
     return phases.select(*records.columns, "phase", "level", "climb_rate_m_s")
 
@@ -65,15 +74,21 @@ def seconds_between(later: pl.Expr, earlier: pl.Expr) -> pl.Expr:
     return (later - earlier).dt.total_microseconds() / 1e6
 
 
+def interval_s() -> pl.Expr:
+    """Return the usual time from one row to the next, 1 s at least; null for a single row. [s]"""
+    return seconds_between(pl.col("time_utc"), pl.col("time_utc").shift(1)).median().clip(lower_bound=1.0)
+
+
 def _rate_log(rows: pl.DataFrame) -> pl.DataFrame:
-    """Add the climb rate over the 60 s around each second, truncated at both ends."""
+    """Add the climb rate over the 60 s around each reading, truncated at both ends; all logs have one interval."""
+    half_window = round(HALF_WINDOW_S / rows["_interval_s"][0])
 
     def end(column: str, step: int) -> pl.Expr:
         edge = pl.col(column).first() if step > 0 else pl.col(column).last()
         return pl.coalesce(pl.col(column).shift(step).over("_leg"), edge.over("_leg"))
 
-    rise = end("_held_m", -HALF_WINDOW_S) - end("_held_m", HALF_WINDOW_S)
-    span = seconds_between(end("time_utc", -HALF_WINDOW_S), end("time_utc", HALF_WINDOW_S))
+    rise = end("_held_m", -half_window) - end("_held_m", half_window)
+    span = seconds_between(end("time_utc", -half_window), end("time_utc", half_window))
     rates = rows.with_columns((rise / span).alias("climb_rate_m_s"))
     return rates.with_columns((pl.col("climb_rate_m_s").abs() < LEVEL_RATE_M_S).fill_null(False).alias("level"))
 
@@ -146,8 +161,17 @@ SIGNALS = tuple(LIMITS)
 NOISY = ("pack_flow_kg_s", "cc_flow_kg_s", "cc_speed_rad_s")
 NOISY_RUN, NOISY_RUN_S, OFF_BELOW = 6, 120.0, 0.05
 # bound to the air outside: [m] of climb or descent over which a sound sensor can't repeat its reading
+SHARED_SENSORS = ("tat_k", "total_pressure_pa", "mach")  # both packs may record one and the same
 FROZEN_RISE_M = dict.fromkeys(("total_pressure_pa", "cc_in_pa"), 1_000.0)
 FROZEN_RISE_M |= dict.fromkeys(("tat_k", "cc_in_k", "hx_in_k", "hx_out_k", "cc_out_k"), 6_000.0)
+# noise of a reading [signal's unit]: it carries a reading across a finer step
+READING_SD = dict.fromkeys(("tat_k", "hx_in_k", "hx_out_k", "ram_out_k", "cc_in_k", "cc_out_k"), 0.35)
+READING_SD |= {"cc_in_pa": 90.0, "total_pressure_pa": 90.0, "cc_out_pa": 280.0, "ram_door_open": 0.005}
+READING_SD |= {"pack_flow_kg_s": 0.008, "cc_flow_kg_s": 0.012, "cc_speed_rad_s": 3.5, "vda_counts": 5.0}
+CHANCE_RUN = 1e-5  # chance of a run of equal readings at which it is none
+# least change with altitude [signal's unit / m], by which a coarser step hides more of a climb
+LEAST_GRADIENT = dict.fromkeys(("total_pressure_pa", "cc_in_pa"), 1.5)
+LEAST_GRADIENT |= dict.fromkeys(("tat_k", "cc_in_k", "hx_in_k", "hx_out_k", "cc_out_k"), 0.001)
 
 
 def null_bad_values(records: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
@@ -173,8 +197,57 @@ def null_bad_values(records: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame
     rows = number_legs(records, by)
     rows = _null(rows, {s: _is_out_of_range(s) for s in SIGNALS}, "n_out_of_range")
     rows = _null(rows, {s: _is_spike(s) for s in SIGNALS}, "n_spikes")
-    frozen_flags = {s: _is_frozen_noisy(s) for s in NOISY} | {s: _is_frozen_in_climb(s) for s in FROZEN_RISE_M}
-    return _null(rows, frozen_flags, "n_frozen").drop("_leg")
+    return _null_frozen(rows, [c for c in by if c != "pack"]).drop("_leg")
+
+
+def _null_frozen(rows: pl.DataFrame, flight: Sequence[str]) -> pl.DataFrame:
+    """Null frozen readings; of flights that seem to have some, with the steps of the recorder at hand."""
+    flags = {s: _is_frozen_noisy(s) for s in NOISY} | {s: _is_frozen_in_climb(s) for s in FROZEN_RISE_M}
+    suspects = rows.filter(pl.any_horizontal(flags.values())).select(flight).unique()
+    if suspects.is_empty():
+        return rows.with_columns(pl.lit(0, pl.Int32).alias("n_frozen"))
+    records = rows.join(suspects, on=flight, how="semi")
+    steps = records.group_by(flight).agg(_step_of_packs(s).alias(s) for s in flags)
+    limits = steps.with_columns(
+        *(pl.Series(s, [run_of_chance(step or 0.0, READING_SD[s]) for step in steps[s]]) for s in NOISY),
+        *(_hidden_rise_m(s) for s in FROZEN_RISE_M),
+    ).rename({s: f"_limit_{s}" for s in flags})
+    with_limits = rows.join(limits, on=flight, how="left", maintain_order="left", validate="m:1")
+    flags = {s: _is_frozen_noisy(s, pl.col(f"_limit_{s}")) for s in NOISY} | {
+        s: _is_frozen_in_climb(s, pl.col(f"_limit_{s}")) for s in FROZEN_RISE_M
+    }
+    return _null(with_limits, flags, "n_frozen").drop(f"_limit_{s}" for s in flags)
+
+
+def _step_of_packs(signal: str) -> pl.Expr:
+    """Return the step; infinite where every reading of two packs' sensors is one: two do not freeze on one flight."""
+    two_sensors = pl.col("_leg").n_unique() > 1 if signal not in SHARED_SENSORS else pl.lit(False)
+    return pl.when(two_sensors).then(reading_step(signal).fill_null(inf)).otherwise(reading_step(signal))
+
+
+def reading_step(signal: str) -> pl.Expr:
+    """Return the step of the recorder: the least difference of two readings in a group, of both packs together."""
+    return pl.col(signal).unique().sort().diff().filter(pl.col(signal).unique().sort().diff() > 1e-9).min()
+
+
+def run_of_chance(step: float, sd: float) -> float:
+    """Return the run of equal readings that chance hardly makes, of a reading with noise `sd` in steps of `step`.
+
+    At worst the true value stands in the middle of a step and stays.
+
+    Examples
+    --------
+    >>> [round(run_of_chance(step, 0.008)) for step in (0.002, 0.015, 0.04)]
+    [6, 28, 922]
+    """
+    same = erf(step / (2.0 * sqrt(2.0) * sd))
+    return 1.0 + log(CHANCE_RUN) / log(same) if 0.0 < same < 1.0 else inf if same else 0.0
+
+
+def _hidden_rise_m(signal: str) -> pl.Expr:
+    """Return the climb that a step hides, beyond the noise of a reading. [m]"""
+    coarse = (pl.col(signal) - 2.0 * READING_SD[signal]).clip(lower_bound=0.0)
+    return (coarse / LEAST_GRADIENT[signal]).fill_null(0.0).alias(signal)
 
 
 def _null(records: pl.DataFrame, bad: dict[str, pl.Expr], count_name: str) -> pl.DataFrame:
@@ -207,22 +280,23 @@ def _run(signal: str) -> pl.Expr:
     return pl.struct("_leg", pl.col(signal).forward_fill().over("_leg")).rle_id()
 
 
-def _is_frozen_noisy(signal: str) -> pl.Expr:
-    run = _run(signal)
+def _is_frozen_noisy(signal: str, run_of_chance: pl.Expr | float = 0.0) -> pl.Expr:
+    run, least = _run(signal), pl.max_horizontal(pl.lit(NOISY_RUN), run_of_chance)
     span_s = seconds_between(pl.col("time_utc").max(), pl.col("time_utc").min()).over(run)
     running = pl.col(signal) > OFF_BELOW * LIMITS[signal][1]
-    return (pl.col(signal).count().over(run) >= NOISY_RUN) & (span_s >= NOISY_RUN_S) & running
+    return (pl.col(signal).count().over(run) >= least) & (span_s >= NOISY_RUN_S) & running
 
 
-def _is_frozen_in_climb(signal: str) -> pl.Expr:
+def _is_frozen_in_climb(signal: str, hidden_m: pl.Expr | float = 0.0) -> pl.Expr:
     read_at_m = pl.col("altitude_m").filter(pl.col(signal).is_not_null())
     rise_m = (read_at_m.max() - read_at_m.min()).over(_run(signal))
-    return (rise_m > FROZEN_RISE_M[signal]) & pl.col(signal).is_not_null()
+    return (rise_m > FROZEN_RISE_M[signal] + hidden_m) & pl.col(signal).is_not_null()
 
 
 WINDOW_S = 60
 SLOPE_T_LIMIT = 4.0
 MIN_AVERAGED = 45  # seconds of a window that must have been recorded
+MIN_SHARE = 0.5  # of a signal's readings in a window that must have a value
 # what drives the heat exchanger: largest drift [1/s] that leaves it quasi-steady, and the random sd of a reading
 DRIVERS: dict[str, tuple[float, float]] = {
     "altitude_m": (1.524, 5.0),
@@ -234,32 +308,62 @@ DRIVERS: dict[str, tuple[float, float]] = {
 }
 
 
-def average_log(log: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
-    """Average a 1 Hz log over whole minutes of one phase, which serve the twin as precise snapshots.
+def thin_log(records: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame:
+    """Keep one row a second of continuous logs: the first reading of each signal; other rows stay as they are.
+
+    Rows sorted by `by` and time come back so.
+    """
+    second = pl.col("time_utc").dt.truncate("1s")
+    is_log = pl.col("source") == "cpl"
+    twice = records.filter(is_log).select(pl.struct(*by, second).is_duplicated().any()).item()
+    if not twice:
+        return records
+    firsts = [pl.col(c).drop_nulls().first() for c in SIGNALS]
+    others = [pl.col(c).first() for c in records.columns if c not in (*by, "time_utc", *SIGNALS)]
+    log = records.filter(is_log).group_by(*by, second, maintain_order=True).agg(*others, *firsts)
+    return pl.concat([records.filter(~is_log), log.select(records.columns)]).sort(*by, "time_utc", maintain_order=True)
+
+
+def average_log(log: pl.DataFrame, *, by: Sequence[str], delivered_shares: pl.DataFrame | None = None) -> pl.DataFrame:
+    """Average a log over whole minutes of one phase, which serve the twin as precise snapshots.
 
     Parameters
     ----------
     log : DataFrame
-        `by`, `time_utc`, `phase`, `level`, `climb_rate_m_s`, the screen counts and `SIGNALS`, one row a second;
+        `by`, `time_utc`, `phase`, `level`, `climb_rate_m_s`, the screen counts and `SIGNALS`, one row in 1 to 10 s;
         `departed_at` of the flight is kept where present.
+    delivered_shares : DataFrame, optional
+        `by` and, for signals at a lower rate than the log's, the share of rows that hold a reading; null for others.
 
     Returns
     -------
     DataFrame
-        A row a window with the means of the signals, `time_utc` at the window's middle second, `n_averaged` [s] and
-        `steady` (bool): no driver drifts both significantly (slope test, t over 4) and faster than `DRIVERS` allows.
+        A row a window with the means of the signals, `time_utc` at the window's middle reading, `n_averaged` (seconds
+        that the readings stand for) and `steady` (bool): no driver drifts both significantly (slope test, t over 4)
+        and faster than `DRIVERS` allows.
     """
     window = (pl.col("time_utc").dt.epoch("s") // WINDOW_S).alias("_window")
     second = pl.col("time_utc").dt.epoch("s").cast(pl.Float64)
     counts = [c for c in log.columns if c.startswith("n_")]
-    windows = log.group_by(*by, window, "phase", maintain_order=True).agg(
+    rows = number_legs(log, by).with_columns(interval_s().over("_leg").fill_null(1.0).alias("_interval_s"))
+    shares: dict[str, pl.Expr] = dict.fromkeys(SIGNALS, pl.lit(1.0))
+    if delivered_shares is not None:
+        slower = [c for c in delivered_shares.columns if c in SIGNALS]
+        renamed = delivered_shares.rename({s: f"_share_{s}" for s in slower})
+        rows = rows.join(renamed, on=by, how="left", maintain_order="left", validate="m:1")
+        shares |= {s: pl.col(f"_share_{s}").first().fill_null(1.0) for s in slower}
+    stands_for = (pl.len() * pl.col("_interval_s").first()).clip(upper_bound=float(WINDOW_S))
+    windows = rows.group_by(*by, window, "phase", maintain_order=True).agg(
         pl.col("time_utc").median().cast(log.schema["time_utc"]),
         *(pl.col(c).first() for c in ("departed_at",) if c in log.columns),
         pl.col("level").all(),
         pl.col("climb_rate_m_s").mean(),
-        *(pl.when(pl.col(s).count() * 2 > pl.len()).then(pl.col(s).mean()).alias(s) for s in SIGNALS),
+        *(
+            pl.when(pl.col(s).count() > MIN_SHARE * share * pl.len()).then(pl.col(s).mean()).alias(s)
+            for s, share in shares.items()
+        ),
         *(pl.col(c).sum() for c in counts),
-        pl.len().cast(pl.Int64).alias("n_averaged"),
+        stands_for.round().cast(pl.Int64).alias("n_averaged"),
         pl.all_horizontal(drift_free(second, s, harmful) for s, (harmful, _) in DRIVERS.items()).alias("steady"),
     )
     return windows.filter(pl.col("n_averaged") >= MIN_AVERAGED).drop("_window")

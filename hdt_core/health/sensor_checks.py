@@ -8,11 +8,12 @@ against right where both controllers have the same target. None needs the digita
 import polars as pl
 
 from hdt_core.calibration.arrays import departure
+from hdt_core.flight.channels import NO_CHANNELS, ONE_CHANNEL, count_gaps, lost_share
 from hdt_core.flight.control_schedules import FULL_OPEN, ControlSchedules, has_authority, learn_schedules
 from hdt_core.flight.cross_checks import ln_ratio
-from hdt_core.flight.legs import RUNNING_KG_S
+from hdt_core.flight.samples import RUNNING_KG_S, SHARED_SENSORS, reading_step
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
-from hdt_core.records.keys import LEG, join_other_pack
+from hdt_core.records.keys import FLIGHT, LEG, join_other_pack
 from hdt_core.tables.base import finite
 from hdt_core.tables.raw import SIGNALS
 
@@ -37,7 +38,16 @@ STILL_SAMPLES = 8
 """Readings below which one value may be chance and quantisation."""
 
 
-def cross_checks(samples: pl.DataFrame, schedules: ControlSchedules | None = None) -> pl.DataFrame:
+LEAST_SPAN = dict.fromkeys(("tat_k", "hx_in_k", "hx_out_k", "cc_in_k", "cc_out_k"), 7.0) | {
+    "ram_out_k": 4.0, "total_pressure_pa": 10_000.0, "cc_in_pa": 10_000.0, "cc_out_pa": 10_000.0,
+    "pack_flow_kg_s": 0.05, "cc_flow_kg_s": 0.05, "cc_speed_rad_s": 500.0, "ram_door_open": 0.02, "vda_counts": 300.0,
+}  # fmt: skip
+"""Span of each signal over a flight that a sound sensor exceeds on 199 of 200; a coarser step may hide it."""
+
+
+def cross_checks(
+    samples: pl.DataFrame, schedules: ControlSchedules | None = None, channels: pl.DataFrame = NO_CHANNELS
+) -> pl.DataFrame:
     """Compute counts, cross checks and door statistics of every flight and pack.
 
     Parameters
@@ -46,6 +56,8 @@ def cross_checks(samples: pl.DataFrame, schedules: ControlSchedules | None = Non
         `legs_samples`: signals in SI with `phase`; invalid values are null. Snapshots with a phase serve as well.
     schedules : ControlSchedules, optional
         Of the controllers; learned from the first flights in `samples` where not given.
+    channels : DataFrame, optional
+        `legs_channels` of these flights: what the recorder withholds is not lost.
 
     Returns
     -------
@@ -59,7 +71,8 @@ def cross_checks(samples: pl.DataFrame, schedules: ControlSchedules | None = Non
     scheduled = _with_schedules(samples, schedules or learn_schedules(samples))
     whole = join_other_pack(scheduled, PAIRED_SIGNALS, ("time_utc", "source"))
     level = _with_pitot(whole.filter(pl.col("phase") == "cruise"))
-    out = whole.group_by(LEG).agg(*_counts(), *_door(), departure(samples).alias("departed_at"))
+    counts = whole.group_by(LEG).agg(*_counts(), *_door(), departure(samples).alias("departed_at"))
+    out = _without_withheld(_without_coarse(counts, samples), channels)
     parts = (
         level.group_by(LEG).agg(*_checks(LEVEL_CHECKS), *_setting()),
         whole.group_by(LEG).agg(*_checks(FLIGHT_CHECKS)),
@@ -79,6 +92,39 @@ def _counts() -> list[pl.Expr]:
         for c in SIGNALS
     ]
     return [pl.any_horizontal(flows).alias("running"), pl.len().alias("n_snapshots"), *lost_share, *still]
+
+
+def _without_coarse(counts: pl.DataFrame, samples: pl.DataFrame) -> pl.DataFrame:
+    """Take back `<signal>_still` where the recorder's step may hide what the signal did, or both packs stand still."""
+    still = {s: pl.col(f"{s}_still") for s in LEAST_SPAN}
+    flights = counts.filter(pl.any_horizontal(still.values())).select(FLIGHT).unique()
+    if flights.is_empty():
+        return counts
+    snapshots = samples.filter(pl.col("source") == "acms").join(flights, on=FLIGHT, how="semi")
+    steps = snapshots.group_by(FLIGHT).agg(reading_step(s).alias(f"step_{s}") for s in LEAST_SPAN)
+    rows = counts.join(steps, on=FLIGHT, how="left", validate="m:1")
+    # two sensors of one kind do not stop on one flight; air data may be one sensor's
+    on_both = {s: (flag.sum().over(FLIGHT) > 1) & (s not in SHARED_SENSORS) for s, flag in still.items()}
+    hidden = {s: (pl.col(f"step_{s}") >= LEAST_SPAN[s]).fill_null(False) | on_both[s] for s in LEAST_SPAN}
+    return rows.with_columns((still[s] & ~hidden[s]).alias(f"{s}_still") for s in LEAST_SPAN).select(counts.columns)
+
+
+def _without_withheld(counts: pl.DataFrame, channels: pl.DataFrame) -> pl.DataFrame:
+    """Leave regular gaps out of `<signal>_lost_share`; null it where both packs' readings are one channel."""
+    shared = channels.filter(reason=ONE_CHANNEL).group_by(LEG).agg(
+        (pl.col("signal") == s).any().alias(f"shared_{s}") for s in SIGNALS
+    )  # fmt: skip
+    if channels.is_empty():
+        return counts
+    rows = counts
+    for part in (count_gaps(channels), shared):
+        rows = rows.join(part, on=LEG, how="left", validate="1:1")
+    n = pl.col("n_snapshots")
+    shares = {s: lost_share(s, (pl.col(f"{s}_lost_share") * n).round(), n) for s in SIGNALS}
+    own = {s: ~pl.col(f"shared_{s}").fill_null(False) for s in SIGNALS}
+    return rows.with_columns(
+        pl.when(own[s]).then(share).alias(f"{s}_lost_share") for s, share in shares.items()
+    ).select(counts.columns)  # fmt: skip
 
 
 def _door() -> list[pl.Expr]:

@@ -87,6 +87,7 @@ TABLES: dict[str, StoredTable] = {
     "raw_files_quarantine": StoredTable(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),
     "legs_samples": StoredTable(raw.LegsSamples, "flight", _SAMPLE, "month"),
     "legs_verdicts": StoredTable(raw.LegsVerdicts, "flight", _FLIGHT_PACK, "month"),
+    "legs_channels": StoredTable(raw.LegsChannels, "flight", (*_FLIGHT_PACK, "source", "signal"), "month"),
     "legs_indicators": StoredTable(raw.LegsIndicators, "flight", _FLIGHT_PACK, "month"),
     "legs_admitted": StoredTable(raw.LegsAdmitted, "aircraft", _FLIGHT_PACK),
     "calibration_dsm": StoredTable(twin.CalibrationDsm, "fleet", ("dsm_version",), whole=True),

@@ -328,6 +328,19 @@ class LegsVerdicts(DatedLegTable):
     n_frozen = count("values taken out because the sensor repeats itself")
 
 
+class LegsChannels(LegTable):
+    """One channel that the recorder delivers otherwise than one reading a row: flight, pack, source, signal."""
+
+    source = text("acms or cpl", nullable=False, primary_key=True)
+    signal = text("signal as `raw_snapshots` names it", nullable=False, primary_key=True)
+    reason = text(
+        "not_fitted: zero throughout on both packs; one_channel: equals the other pack's digit for digit; lower_rate: "
+        "empty in a pattern that repeats", nullable=False,
+    )  # fmt: skip
+    n_readings = count("readings concerned: zeros, equal ones, or regular gaps")
+    delivered_share = number("of a lower rate, share of the rows that hold a reading", "-", 0, 1)
+
+
 class LegsIndicators(LegTable):
     """Indicators of a leg by its own samples, against the fleet's laws: flight, pack."""
 

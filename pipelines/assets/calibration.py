@@ -13,6 +13,7 @@ from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.dsm import Dsm, design_parameters
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.flight.admission import NominalBaseline, admit, learn_baseline, leg_indicators
+from hdt_core.flight.channels import find_channels
 from hdt_core.flight.control_schedules import learn_schedules
 from hdt_core.flight.legs import judge_legs, reject_odd_bleed
 from hdt_core.records.keys import FLIGHT, FLIGHT_PACK, LEG, of_each_aircraft
@@ -26,13 +27,12 @@ from pipelines.versions import baseline_cells, baseline_records
 
 
 @stage
-def legs(
-    raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame, record_held: pl.DataFrame
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Classify each leg that is not held by its own record alone: phase, completeness, range, steady state."""
+def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame, record_held: pl.DataFrame) -> tuple[pl.DataFrame, ...]:
+    """Classify each leg that is not held by its own record alone: channels, phase, completeness, steady state."""
     rows = pl.concat([raw_snapshots, raw_logs]).join(record_held, on=FLIGHT, how="anti", maintain_order="left")
-    verdicts, samples = judge_legs(rows)
-    return samples, verdicts
+    channels = find_channels(rows)
+    verdicts, samples = judge_legs(rows, channels)
+    return samples, verdicts, channels
 
 
 @stage

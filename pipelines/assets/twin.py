@@ -74,11 +74,13 @@ def residuals(legs_samples: pl.DataFrame, twin_flights: pl.DataFrame, calibratio
 
 
 @stage
-def indicators(legs_samples: pl.DataFrame, calibration_schedules: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+def indicators(
+    legs_samples: pl.DataFrame, legs_channels: pl.DataFrame, calibration_schedules: pl.DataFrame
+) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Compute indicators of each leg and cross checks of sensors, door and controllers against the fleet's laws."""
     norm = NominalBaseline.from_json(laws_of(calibration_schedules, LEGS))
     laws = ControlSchedules.from_dict(json.loads(laws_of(calibration_schedules, CONTROLLERS)))
-    return leg_indicators(legs_samples, norm), cross_checks(legs_samples, laws)
+    return leg_indicators(legs_samples, norm), cross_checks(legs_samples, laws, legs_channels)
 
 
 @stage

@@ -250,7 +250,7 @@ def _catalog(home: Path) -> Check:
 
 _MISWRITTEN = """
 select file || ': ' || string_agg(distinct coalesce(column_name || ' ', '') || replace(reason, '_', ' '), '; ')
-from quarantine where reason in ('wrong_unit', 'swapped_columns', 'unit_kelvin', 'unit_kpa', 'unit_kg_s',
+from quarantine where reason in ('wrong_unit', 'one_channel', 'swapped_columns', 'unit_kelvin', 'unit_kpa', 'unit_kg_s',
     'implausible_pressure', 'tail_of_two_operators') group by file order by max(received_at) desc, file
 """
 

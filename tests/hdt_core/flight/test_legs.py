@@ -68,7 +68,7 @@ def _altered(rows: pl.DataFrame, pack: int, **new: pl.Expr) -> pl.DataFrame:
     ("new", "reason"),
     [
         ({"pack_flow_kg_s": pl.lit(0.7711)}, "SENSOR_FROZEN"),
-        ({"hx_out_k": pl.when(pl.int_range(pl.len()) % 3 > 0).then("hx_out_k")}, "SENSOR_MISSING"),
+        ({"hx_out_k": pl.when(pl.int_range(pl.len()) ** 3 % 31 > 9).then("hx_out_k")}, "SENSOR_MISSING"),
         ({"pack_flow_kg_s": 0.001 * pl.col("pack_flow_kg_s")}, "PACK_OFF"),
         ({"ram_door_open": 0.4 + 0.01 * (pl.col("ram_door_open") - 0.3)}, "DOOR_STILL"),
         ({"altitude_m": 1_500.0 + 0.1 * pl.col("altitude_m")}, "NO_CRUISE"),
