@@ -134,7 +134,8 @@ def _note(row: Row) -> str:
 
 
 def _file_refusal(row: Row) -> str:
-    return f"{row['reasons']}; {several('{n} row', '{n} rows', row['n_rows'] or 0)}."
+    rows = several("{n} row", "{n} rows", row["n_rows"] or 0)
+    return f"{row['reasons']}; {rows}."
 
 
 _SENTENCE = {"new": _alert, "worse": _alert_change, "closed": _closing, "moved": _outlook, "eased": _alert_change,

@@ -129,8 +129,10 @@ def ignored_entries(entries: pl.DataFrame) -> list[str]:
     groups = entries.group_by(folder.alias("folder"), "detail", maintain_order=True).agg("file")
     lines = []
     for _folder, detail, paths in groups.iter_rows():
-        names, more = ", ".join(paths[:MAX_NAMES]), len(paths) - MAX_NAMES
-        lines.append(f"{_('{names} and {n} more', names=names, n=more) if more > 0 else names}: {detail}")
+        names = ", ".join(paths[:MAX_NAMES])
+        n_more = len(paths) - MAX_NAMES
+        place = _("{names} and {n} more", names=names, n=n_more) if n_more > 0 else names
+        lines.append(f"{place}: {detail}")
     return limit_lines(lines, _("the view quarantine has them"))
 
 
@@ -172,8 +174,9 @@ def refused_logs(con: "duckdb.DuckDBPyConnection") -> list[str]:
 
 def judged_work_lines(con: "duckdb.DuckDBPyConnection") -> list[str]:
     """Report work that was taken otherwise than it is logged."""
+    of_pack = _("pack")
     lines = [
-        f"{operator} {tail} {_('pack')} {pack} {component} {reference or ''} {done_on}: {note}"
+        f"{operator} {tail} {of_pack} {pack} {component} {reference or ''} {done_on}: {note}"
         for operator, tail, pack, component, reference, done_on, note in con.execute(_JUDGED_WORK).fetchall()
     ]
     return limit_lines(lines, "hdt query 'from maintenance'")
@@ -208,7 +211,10 @@ def describe_silence(row: Row) -> str:
         reason=row["reason"].replace("_", " "),
         file=row["file"],
     )
-    return f"{sentence} {_('It fits {unit}.', unit=row['fits'])}" if row["fits"] else sentence
+    if not row["fits"]:
+        return sentence
+    unit = _("It fits {unit}.", unit=row["fits"])
+    return f"{sentence} {unit}"
 
 
 def limit_lines(lines: list[str], where: str) -> list[str]:

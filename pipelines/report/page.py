@@ -95,6 +95,13 @@ def _gaps(facts: Facts) -> dict[str, list[dict[str, Any]]]:
     }
 
 
+def _refusal(row: dict[str, Any]) -> str:
+    """Word a reason why legs were not admitted, with their number."""
+    reason = words.REASONS.get(row["reason"], row["reason"])
+    translated = _(reason)
+    return f"{translated} ({format_count(row['legs'])})"
+
+
 def _filter_yield(facts: Facts) -> dict[str, Any]:
     """Return the shares of legs admitted to calibration, by operator and by month, and the other reasons."""
     rows = facts["filter_yield"]
@@ -113,10 +120,7 @@ def _filter_yield(facts: Facts) -> dict[str, Any]:
         "months": rows["month"].unique().sort().to_list()[-MONTHS:],
         "aircraft": rows.select("operator", "tail").unique().sort("operator", "tail").rows(),
         "of": of,
-        "why": ", ".join(
-            f"{_(words.REASONS.get(r['reason'], r['reason']))} ({format_count(r['legs'])})"
-            for r in facts["reasons"].to_dicts()
-        ),
+        "why": ", ".join(map(_refusal, facts["reasons"].to_dicts())),
     }
 
 

@@ -98,7 +98,8 @@ def work_text(tasks: Tasks, alert: Mapping[str, Any]) -> str:
     own = tasks_of(tasks, alert)
     action = action_of(alert, own)
     text = own[action].text() if action in own else ""
-    return f"{_(ACTIONS[action]).capitalize()}: {text}" if text else _(ACTIONS[action]).capitalize()
+    name = _(ACTIONS[action]).capitalize()
+    return f"{name}: {text}" if text else name
 
 
 def _declared_tasks() -> dict[tuple[str, str], Task]:

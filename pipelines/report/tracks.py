@@ -159,9 +159,15 @@ def _events(parts: dict[str, pl.DataFrame], start: int) -> list[Row]:
 
 
 def _work(w: Row) -> str:
-    finding = f" ({_(w['finding'].lower().replace('_', ' '))})" if w["finding"] else ""
     part = _(str(words.PARTS.get(w["component"], w["component"])))
-    return f"{words.day(w['done_on'])}: {part} {_(w['action'].lower())}{finding}"
+    action = w["action"].lower()
+    translated = _(action)
+    work = f"{words.day(w['done_on'])}: {part} {translated}"
+    if not w["finding"]:
+        return work
+    finding = w["finding"].lower().replace("_", " ")
+    translated = _(finding)
+    return f"{work} ({translated})"
 
 
 def _message(m: Row) -> str:

@@ -69,7 +69,10 @@ def estimate(value: float | None, sd: float | None, unit: str) -> Markup:
 
 def _estimate(ends: list[float], unit: str) -> str:
     value = f"{figures(ends[0])} {unit}".removesuffix(" -")
-    return f"{value} ({_('{low} to {high}', low=figures(ends[1]), high=figures(ends[2]))})" if len(ends) > 1 else value
+    if len(ends) == 1:
+        return value
+    interval = _("{low} to {high}", low=figures(ends[1]), high=figures(ends[2]))
+    return f"{value} ({interval})"
 
 
 def in_words(text: str) -> Markup:

@@ -46,14 +46,20 @@ _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f\u200e\u200f\u202a-\u202e\u2066-\u2
 def pack_name(row: Row) -> str:
     """Name a pack, such as `LX-AAC pack 2 (right)`."""
     name = _("{tail} pack {pack}", tail=row["tail"], pack=row["pack"])
-    return f"{name} ({_(SIDES[row['pack']])})" if row["pack"] in SIDES else name
+    if row["pack"] not in SIDES:
+        return name
+    side = _(SIDES[row["pack"]])
+    return f"{name} ({side})"
 
 
 def unit_name(row: Row) -> str:
     """Name a declared component's unit, such as `LX-AAC hydraulic oil cooler 2`; of anything else, the pack."""
     part = row.get("component")
     name = row.get("name") or (PARTS[part] if part in DECLARED else None)
-    return f"{row['tail']} {_(name)} {row['pack']}" if name else pack_name(row)
+    if not name:
+        return pack_name(row)
+    translated = _(name)
+    return f"{row['tail']} {translated} {row['pack']}"
 
 
 def unit_key(row: Row) -> tuple[Any, ...]:

@@ -63,7 +63,8 @@ def translate_value(value: str) -> str:
     if code := _CODE.fullmatch(value):
         lower = code[1][:1].lower() + code[1][1:]
         name = lower if lower in (*SIGNALS.values(), *CHECKS.values()) else code[1]
-        return f"{_(name)} {code[2]}"
+        translated = _(name)
+        return f"{translated} {code[2]}"
     return translate_evidence(value)
 
 

@@ -1,5 +1,6 @@
 """Every word in every language: none is missing, each keeps its values; evidence is known again phrase by phrase."""
 
+import ast
 import re
 import string
 from io import BytesIO
@@ -100,3 +101,13 @@ def test_alerts_of_the_sample_are_told_in_german_to_the_last_word(sample_home):
             assert not ENGLISH_WORDS.search(translate_evidence(sentence)), translate_evidence(sentence)
         for tail in tails:
             assert not ENGLISH_WORDS.search(str(explain(sample_home, tail)))
+
+
+@pytest.mark.parametrize("path", sorted(translations.ROOT.rglob("*.py")), ids=lambda p: p.stem)
+def test_no_call_for_words_in_f_strings(path):
+    """From Python 3.12 on, strings within an f-string are collected as messages too."""
+    strings = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.JoinedStr)]
+
+    calls = [c for s in strings for c in ast.walk(s) if isinstance(c, ast.Call) and isinstance(c.func, ast.Name)]
+
+    assert not {c.func.id for c in calls} & set(translations.KEYWORDS)
