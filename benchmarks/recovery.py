@@ -71,7 +71,7 @@ def grow(landing: Path, home: Path, flights: int) -> None:
             path.touch()
             name = str(path.relative_to(landing))
             files.append((name, operator, tail, "acms", 0, path.stat().st_mtime_ns, name))
-            flights_of_file[name] = [flight]
+            flights_of_file[name] = [(operator, tail, flight)]
     ledger.register(files, flights_of_file)
     for table in LINEAGE:  # parents stand before their children
         cells = expected_versions(ledger, table)

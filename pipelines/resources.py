@@ -40,9 +40,9 @@ def aircraft_key(operator: str, tail: str) -> str:
     return f"{operator}:{tail}"
 
 
-def flight_key(flight_id: str) -> str:
-    """Format the partition key of a flight, `YYYYMMDD_LEG`, shared by all aircraft."""
-    return flight_id[-11:]
+def flight_key(tail: str, flight_id: str) -> str:
+    """Format the partition key of a flight: `YYYYMMDD_LEG`, shared by all aircraft; its id under another tail."""
+    return flight_id[-11:] if flight_id == f"{tail}_{flight_id[-11:]}" else flight_id
 
 
 def cell_keys(cells: Iterable[tuple[str, str]]) -> list[dg.MultiPartitionKey]:
@@ -65,7 +65,12 @@ def cells_of(keys: tuple[str, ...]) -> dict[tuple[str, str, str], str]:
 def _cell_of(key: str) -> tuple[str, str, str]:
     aircraft, _, flight = key.partition("|")
     operator, tail = aircraft_of(aircraft)
-    return operator, tail, f"{tail}_{flight}" if flight else ""
+    return operator, tail, flight_of(tail, flight)
+
+
+def flight_of(tail: str, key: str) -> str:
+    """Return the flight id of a partition key of a flight; empty above flights."""
+    return f"{tail}_{key}" if len(key) == len("YYYYMMDD_LL") else key
 
 
 @dataclass(frozen=True)

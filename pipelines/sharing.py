@@ -207,7 +207,7 @@ def export(home: Path, folder: Path, scope: AccessScope, form: str, names: list[
 def _window(home: Path, scope: AccessScope, keep: Path | None) -> Iterator[duckdb.DuckDBPyConnection]:
     """Open the home's catalog for an unlimited scope; else, or to write to `keep`, a database of the scope's rows."""
     if keep is None and scope.operator is None and scope.key is None:
-        with connect(home) as con:
+        with connect(home, as_delivered=True) as con:
             yield con
         return
     with tempfile.TemporaryDirectory() as scratch, open_database(keep or Path(scratch, CATALOG)) as con:

@@ -105,7 +105,8 @@ def _types(landing: str, moments: tuple[tuple[str, int], ...]) -> Types:
             by_name[kind.name] = kind
         except AircraftTypeError as error:
             faults[file.name] = str(error)
-    return Types(by_name, fleet_lines(Path(landing)), faults)
+    first_lines = {aircraft: lines[0] for aircraft, lines in fleet_lines(Path(landing)).items()}
+    return Types(by_name, first_lines, faults)
 
 
 def components_in(file: LandingFile) -> tuple[str, ...]:

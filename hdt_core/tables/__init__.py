@@ -81,7 +81,7 @@ TABLES: dict[str, StoredTable] = {
     "raw_cases": StoredTable(raw.RawCases, "aircraft", ("line", "id")),
     "raw_records_deliveries": StoredTable(raw.RawDeliveries, "aircraft", ("file",), whole=True),
     "raw_records_quarantine": StoredTable(raw.RawQuarantine, "aircraft", ("file", "row", "column_name", "reason")),
-    "raw_fleet": StoredTable(raw.RawFleet, "fleet", ("operator", "tail")),
+    "raw_fleet": StoredTable(raw.RawFleet, "fleet", ("operator", "tail", "valid_from", "msn")),
     "raw_coverage": StoredTable(raw.RawCoverage, "fleet", ("operator", "tail", "component", "parameter")),
     "raw_files_deliveries": StoredTable(raw.RawDeliveries, "fleet", ("file",), whole=True),
     "raw_files_quarantine": StoredTable(raw.RawQuarantine, "fleet", ("file", "row", "column_name", "reason")),

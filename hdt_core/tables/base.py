@@ -8,7 +8,13 @@ import polars as pl
 OPERATOR = r"^[A-Z][A-Z0-9]{1,7}$"
 """An ICAO airline code, or a fleet's own name."""
 TAIL = r"^[A-Z0-9-]{2,10}$"
+"""A registration, as a folder has it."""
+AIRFRAME_TAIL = r"^[A-Z0-9-]{2,10}(\.\d+)?$"
+"""The same as the key of an airframe: numbered where another airframe had it before."""
 FLIGHT_ID = r"^[A-Z0-9-]{2,10}_\d{8}_\d{2}$"
+"""A flight as it was delivered."""
+STORED_FLIGHT_ID = rf"^({OPERATOR[1:-1]}\.)?{FLIGHT_ID[1:]}"
+"""The same as it is stored: after its operator where the airframe had the tail under another one."""
 UTC = pl.Datetime("us", "UTC")
 
 
@@ -54,13 +60,13 @@ def operator_key(*, primary_key: bool = True) -> dy.String:
 
 def tail_key(*, primary_key: bool = True) -> dy.String:
     """Registration."""
-    return text("aircraft registration", nullable=False, primary_key=primary_key, regex=TAIL)
+    return text("aircraft registration", nullable=False, primary_key=primary_key, regex=AIRFRAME_TAIL)
 
 
 def flight_key() -> dy.String:
     """Flight id: tail, UTC date of departure, leg of that day."""
     meaning = "tail, UTC day of departure and leg, `TAIL_YYYYMMDD_LEG`"
-    return text(meaning, nullable=False, primary_key=True, regex=FLIGHT_ID)
+    return text(meaning, nullable=False, primary_key=True, regex=STORED_FLIGHT_ID)
 
 
 COMPONENT_FLIGHT_ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
@@ -195,6 +201,6 @@ class ComponentLegTable(AircraftTable):
 
     flight_id = text(
         "flight `TAIL_YYYYMMDD_LEG`, or cycle as the component's own record names it", nullable=False, primary_key=True,
-        regex=f"{FLIGHT_ID}|{COMPONENT_FLIGHT_ID}",
+        regex=f"{STORED_FLIGHT_ID}|{COMPONENT_FLIGHT_ID}",
     )  # fmt: skip
     pack = pack_key()

@@ -154,6 +154,7 @@ class RawMessages(AircraftRows):
     flight_id = text("flight it was raised on")
     pack = column(dy.Int32, "pack it names", nullable=True)
     code = text("message code", nullable=False)
+    file = text("file below the landing zone")
     text = text("message text")
 
 
@@ -188,6 +189,7 @@ class RawMaintenance(AircraftRows):
     serial_on = text("serial number of the unit that went on, where the log gives it")
     status = text("COMPLETED, CLOSED, DONE or nothing, as the log gives it; raw_maintenance_not_done has any other")
     source = text("log: the maintenance log; case: an engineer who closed an alert")
+    file = text("file below the landing zone, of a line of the log")
     closes_alert_id = text("alert that an engineer closed with this finding, by the id it had then")
     closes_diagnosis = text("its diagnosis")
     closes_sensor = text("its sensor, as in the table of alerts")
@@ -285,13 +287,18 @@ class RawCoverage(AircraftTable):
     why = text("why they are missing, by the type's description")
 
 
-class RawFleet(AircraftTable):
-    """One aircraft of the fleet list."""
+class RawFleet(AircraftRows):
+    """One line of the fleet list: an airframe under one operator and tail."""
 
-    msn = text("manufacturer's serial number")
-    delivered_on = column(dy.Date, "day of delivery", "UTC", nullable=True)
+    msn = text("manufacturer's serial number; null where lines contradict each other")
+    valid_from = column(dy.Date, "first day on which the line holds; null where it is open", "UTC", nullable=True)
+    valid_to = column(dy.Date, "last day on which the line holds; null where it is open", "UTC", nullable=True)
+    delivered_on = column(dy.Date, "day of delivery to this operator", "UTC", nullable=True)
     packs = column(dy.Int32, "air-conditioning packs", "-", nullable=True)
     type = text("type whose description its recordings follow; null where its files are the default record")
+    airframe_operator = text("operator under which rows of the airframe stand")
+    airframe_tail = text("tail under which rows of the airframe stand")
+    flight_prefix = text("what ids of its flights begin with, as stored, before the delivered one")
 
 
 class LegsSamples(SampleTable):

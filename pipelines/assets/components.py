@@ -11,13 +11,14 @@ from hdt_core.components import Component, component_rows, recorded_components
 from hdt_core.components.pack import CC, HX
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
-from hdt_core.records.keys import FLIGHT, LEG
+from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG
 from hdt_core.tables import TABLES
 from hdt_core.tracking import track
 from hdt_core.tracking.component_units import component_readings
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from pipelines.assets.raw import account, with_aircraft
 from pipelines.assets.stage import StageResult, stage
+from pipelines.intake.airframes import with_airframe
 from pipelines.intake.components import read_components
 from pipelines.intake.faults import NO_FAULTS
 from pipelines.intake.ingest import landing_files, register_unread
@@ -58,7 +59,9 @@ def raw_components(scope: PartitionScope, home: Home) -> StageResult:
     listing = home.ledger.of(scope.aircraft or {}).files(["component", "recorder"])
     present_files = landing_files(Path(home.landing), listing)
     files = [f for f in present_files if f.is_recording or f.folder in recorded_components()]
-    rows, accounts, quarantine = (scope.read_table(home.store, table) for table in STAGE["raw_components"].tables)
+    is_own = pl.col("file").is_in(listing["path"].to_list())
+    stored = (scope.read_table(home.store, table) for table in STAGE["raw_components"].tables)
+    rows, accounts, quarantine = (frame.filter(is_own) for frame in stored)
     packs = dict(rows.group_by("file").agg(pl.col("pack").max()).iter_rows())
     intakes = read_components([replace(f, packs_stored=packs.get(f.path, 0)) for f in files], datetime.now(UTC))
     read_quarantine = pl.concat([NO_FAULTS, *(d.quarantine for _, d in intakes)])
@@ -70,7 +73,8 @@ def raw_components(scope: PartitionScope, home: Home) -> StageResult:
         delivered=pl.when(is_empty).then(pl.col("loaded") + pl.col("duplicate")).otherwise("delivered"),
         quarantined=pl.when(is_empty).then(0).otherwise("quarantined"),
     )
-    rows = pl.concat([rows.filter(~is_replaced), *(d.rows for _, d in intakes)], how="diagonal_relaxed")
+    new_rows = (with_airframe(d.rows, f) for f, d in intakes)
+    rows = pl.concat([rows.filter(~is_replaced), *new_rows], how="diagonal_relaxed")
     accounts = pl.concat([accounts, *(with_aircraft(f, account(f, d)) for f, d in intakes)], how="diagonal_relaxed")
     quarantines = [with_aircraft(f, d.quarantine) for f, d in intakes]
     frames = (
@@ -80,7 +84,9 @@ def raw_components(scope: PartitionScope, home: Home) -> StageResult:
         ),
         pl.concat([quarantine.filter(~pl.col("file").is_in(present)), *quarantines], how="diagonal_relaxed"),
     )
-    return StageResult(frames, {}, inputs_changed)
+    of_run = scope.cells().select(AIRCRAFT)  # a file may hold rows of another airframe, too
+    own_frames = tuple(frame.join(of_run, on=AIRCRAFT, how="semi", maintain_order="left") for frame in frames)
+    return StageResult(own_frames, {}, inputs_changed)
 
 
 @stage

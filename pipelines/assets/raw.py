@@ -11,6 +11,7 @@ from hdt_core.record.facts import flight_facts
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawChecks
 from pipelines.assets.stage import StageResult, stage
+from pipelines.intake.airframes import add_airframes, with_airframe
 from pipelines.intake.faults import NO_FAULTS, quarantine
 from pipelines.intake.findings import CASE, costs_or_fault, with_findings
 from pipelines.intake.findings import NAME as COSTS_FILE
@@ -32,7 +33,7 @@ def raw_fleet(home: Home) -> StageResult:
     stored = home.store.read_table("raw_fleet")
     listing = ledger.files(["fleet", "checks", WITHOUT_FLIGHT])
     files = landing_files(landing, listing)
-    lists = [(f, or_stored(read_fleet(f, now), stored)) for f in files if f.kind == "fleet"]
+    lists = [(f, add_airframes(f, or_stored(read_fleet(f, now), stored))) for f in files if f.kind == "fleet"]
     fleet = lists[0][1].rows if lists else stored  # a missing list removes no aircraft
     checks = [(f, _checks(f, now, home)) for f in files if f.kind == "checks"]
     costs, cost_faults = costs_or_fault(Path(home.home))
@@ -70,24 +71,29 @@ def raw_records(scope: PartitionScope, home: Home) -> StageResult:
         [stored["raw_maintenance"].filter(pl.col("source") != CASE), stored["raw_maintenance_not_done"]],
         how="diagonal",
     )
+    for kind in RECORDS:  # rows stored by earlier versions name no file
+        file = pl.concat_str("operator", pl.lit("/"), "tail", pl.lit(f"/{kind}.csv"))
+        stored[f"raw_{kind}"] = stored[f"raw_{kind}"].with_columns(pl.coalesce("file", file).alias("file"))
     landing = Path(home.landing)
     files = landing_files(landing, listing)
     logs = [*_logs(files, stored), *_printed(files, listing, stored["raw_reports"])]
     log_quarantine = pl.concat([NO_FAULTS, *(x.quarantine for _, x in logs)])
     inputs_changed = register_unread(home.ledger, listing, files, log_quarantine, due_times(logs))
-    of_kind = {kind: [(f, x) for f, x in logs if f.kind == kind] for kind in (*RECORDS, REPORTS)}
-    messages, maintenance = (_records(of_kind[kind], stored[f"raw_{kind}"]) for kind in RECORDS)
+    rows_of = {kind: [with_airframe(x.rows, f) for f, x in logs if f.kind == kind] for kind in (*RECORDS, REPORTS)}
 
     def with_stored(table: str, frames: list[pl.DataFrame]) -> pl.DataFrame:
-        of_files_that_left = ~pl.col("file").is_in([f.path for f, _ in logs])
-        return pl.concat([stored[table].filter(of_files_that_left), *frames], how="diagonal")
+        """Add the stored rows of files that left the landing zone; of a file of two airframes, rows of the run's."""
+        left = set(listing["path"]) - {f.path for f, _ in logs}
+        rows = pl.concat([stored[table].filter(pl.col("file").is_in(left)), *frames], how="diagonal")
+        return rows.join(scope.cells(), on=list(_AIRCRAFT), how="semi", maintain_order="left")
 
+    messages, maintenance = (_each_once(with_stored(f"raw_{kind}", rows_of[kind])) for kind in RECORDS)
     deliveries = [with_aircraft(f, account(f, x)) for f, x in logs]
     frames = (
         messages,
         date_entries(with_findings(maintenance.filter(is_done()), case_lines(scope, home))),
         date_entries(maintenance.filter(~is_done())),
-        with_stored("raw_reports", [x.rows for _, x in of_kind[REPORTS]]),
+        with_stored("raw_reports", rows_of[REPORTS]),
         with_stored("raw_records_deliveries", deliveries).with_columns(_ROW_COUNTS),
         with_stored("raw_records_quarantine", [with_aircraft(f, x.quarantine) for f, x in logs]),
     )
@@ -109,7 +115,7 @@ def _logs(files: list[LandingFile], stored: Mapping[str, pl.DataFrame]) -> _Logs
     """Read messages and maintenance, one file an aircraft; packs already stored keep their numbers."""
     logs, now = _Logs(), datetime.now(UTC)
     for file in (f for f in files if f.kind != REPORTS):
-        own = stored[f"raw_{file.kind}"].filter(operator=file.operator, tail=file.tail)
+        own = stored[f"raw_{file.kind}"].filter(file=file.path)
         with_packs = replace(file, packs_stored=own.select(pl.col("pack").max()).item() or 0)
         logs.append((with_packs, or_stored(RECORDS[file.kind](with_packs, now), own)))
     return logs
@@ -127,11 +133,9 @@ def _printed(files: list[LandingFile], listing: pl.DataFrame, stored: pl.DataFra
     return [(f, replace(x, quarantine=pl.concat([x.quarantine, f.quarantine(f.find_change())]))) for f, x in logs]
 
 
-def _records(logs: _Logs, stored: pl.DataFrame) -> pl.DataFrame:
-    """Return rows of present files, and stored rows of aircraft whose file has left the landing zone."""
-    delivered = pl.DataFrame([(f.operator, f.tail) for f, _ in logs], schema=_AIRCRAFT, orient="row")
-    others = stored.join(delivered, on=delivered.columns, how="anti", maintain_order="left")
-    return pl.concat([others, *(x.rows for _, x in logs)], how="diagonal")
+def _each_once(rows: pl.DataFrame) -> pl.DataFrame:
+    """Drop lines that a log repeats of the log under an earlier operator or tail."""
+    return rows.unique([c for c in rows.columns if c != "file"], keep="first", maintain_order=True)
 
 
 def case_lines(scope: PartitionScope, home: Home) -> pl.DataFrame:
@@ -149,8 +153,9 @@ def raw_cases(scope: PartitionScope, home: Home) -> pl.DataFrame:
 
 
 def with_aircraft(file: LandingFile, frame: pl.DataFrame) -> pl.DataFrame:
-    """Add the operator and tail of the file's folder to `frame`."""
-    return frame.with_columns(operator=pl.lit(file.operator), tail=pl.lit(file.tail))
+    """Add the key of the file's airframe, of several the first, to `frame`."""
+    operator, tail = file.tenures[0].airframe
+    return frame.with_columns(operator=pl.lit(operator), tail=pl.lit(tail))
 
 
 def account(file: LandingFile, intake: FileIntake) -> pl.DataFrame:

@@ -106,7 +106,10 @@ def query(
     from pipelines.storage.publication import connect_as_of
 
     where = home_folder(home)
-    with stop_at_once(lambda: print_error("stopped")), connect_as_of(where, as_of) if as_of else connect(where) as con:
+    with (
+        stop_at_once(lambda: print_error("stopped")),
+        connect_as_of(where, as_of, as_delivered=True) if as_of else connect(where, as_delivered=True) as con,
+    ):
         try:
             result = run_select(con, sql)
             if result is not None:

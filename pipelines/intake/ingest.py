@@ -46,14 +46,16 @@ def ingest_flights(
     flight_files = ledger.of([aircraft]).flight_files().filter(pl.col("kind").is_in(FLIGHT_FILES))
     carriers = flight_files.group_by("path").agg(pl.col("flight_id").min().alias("carrier")).rename({"path": "file"})
     files = landing_files(landing, flight_files.filter(pl.col("flight_id").is_in(flights)))
-    stored_rows = StoredRows(store, aircraft, flights, [f.path for f in files])
+    stored_rows = StoredRows(store, aircraft, flights, [f.path for f in files], flight_files["path"].unique().to_list())
     packs = stored_rows.packs()
     intake = read_snapshots([replace(f, packs_stored=packs.get(f.path, 0)) for f in files], datetime.now(UTC))
     of_files = flight_files.filter(pl.col("flight_id").is_in(flights))
     inputs_changed = register_unread(ledger, of_files, files, intake.quarantine)
     _check_balance(intake)
     of_flights = pl.col("flight_id").is_in(flights)
-    rows, quarantine = intake.rows.filter(of_flights), _with_flight(intake.quarantine, carriers).filter(of_flights)
+    names = {"operator": pl.lit(aircraft[0]), "tail": pl.lit(aircraft[1])}
+    rows = with_stored_ids(intake.rows, files).with_columns(**names).filter(of_flights)
+    quarantine = _with_flight(with_stored_ids(intake.quarantine, files), carriers).filter(of_flights)
     with_rows = rows.select(ACCOUNT).unique()
     received_at = {path: modified_at(ns) for path, ns in flight_files.select("path", "mtime_ns").iter_rows()}
     missing_rows, new_rows = compare_redelivery(rows, quarantine, *stored_rows.of_present_files(), received_at)
@@ -62,7 +64,6 @@ def ingest_flights(
     merged_of_files = MergeResult(*(part.join(with_rows, on=ACCOUNT, how="semi") for part in result))
     account = _account(rows, quarantine, merged_of_files)
     quarantine = pl.concat([quarantine, result.quarantine])
-    names = {"operator": pl.lit(aircraft[0]), "tail": pl.lit(aircraft[1])}
     return IngestResult(
         result.rows,
         pl.concat([account, stored_rows.deliveries(result, with_rows)]).group_by(ACCOUNT).sum().with_columns(**names),
@@ -75,18 +76,20 @@ def ingest_flights(
 class StoredRows:
     """Stored rows of some flights from files that left the landing zone, or hold no good row of them any more.
 
-    `present` are the files in the landing zone; `with_rows` (file, flight_id) of the methods lists their flights with
-    good rows.
+    `present` are the files in the landing zone, `own` those that belong to this airframe, in the zone or not;
+    `with_rows` (file, flight_id) of the methods lists their flights with good rows.
     """
 
     store: Store
     aircraft: tuple[str, str]
     flights: list[str]
     present: list[str]
+    own: list[str]
 
     def _read(self, table: str) -> pl.DataFrame:
         rows = self.store.scan(table, [self.aircraft], self.flights)
-        return TABLES[table].conform(rows.filter(pl.col("flight_id").is_in(self.flights)).collect())
+        of_flights = pl.col("flight_id").is_in(self.flights) & pl.col("file").is_in(self.own)
+        return TABLES[table].conform(rows.filter(of_flights).collect())
 
     @cached_property
     def _stored_quarantine(self) -> pl.DataFrame:
@@ -135,7 +138,7 @@ class StoredRows:
         return counts.select(*ACCOUNT, "delivered", "loaded", "quarantined", duplicate=duplicate)
 
 
-_REGISTERED = ("path", "operator", "tail", "kind", "size", "mtime_ns", "digest")
+_REGISTERED = ("path", "kind", "size", "mtime_ns", "digest")
 
 
 def landing_files(landing: Path, ledger_rows: pl.DataFrame) -> list[LandingFile]:
@@ -143,16 +146,31 @@ def landing_files(landing: Path, ledger_rows: pl.DataFrame) -> list[LandingFile]
     rows = ledger_rows.select(_REGISTERED).unique().sort("path").rows()
     root = str(landing.resolve())
     present = [row for row in rows if os.path.isfile(landing / row[0])]
-    return [_landing_file(root, Registered.parse(digest), row) for *row, digest in present]
+    return [_landing_file(root, row) for row in present]
 
 
-def _landing_file(root: str, registered: Registered, row: list[Any]) -> LandingFile:
-    path, operator, tail, kind, size, mtime_ns = row
+def folder_of(path: str) -> tuple[str, str]:
+    """Return operator and tail of the folder that holds a file; empty for files of the fleet."""
+    parts = path.split("/")
+    return (parts[0], parts[1]) if len(parts) > 2 else ("", "")
+
+
+def with_stored_ids(rows: pl.DataFrame, files: Iterable[LandingFile]) -> pl.DataFrame:
+    """Replace the delivered flight_id by the stored one where the airframe had this tail under another operator."""
+    prefixes = {f.path: f.tenures[0].prefix for f in files if f.tenures[0].prefix}
+    if not prefixes:
+        return rows
+    prefix = pl.col("file").replace_strict(prefixes, default="", return_dtype=pl.String)
+    return rows.with_columns((prefix + pl.col("flight_id")).alias("flight_id"))
+
+
+def _landing_file(root: str, row: tuple[Any, ...]) -> LandingFile:
+    path, kind, size, mtime_ns, digest = row
+    registered = Registered.parse(digest)
     return LandingFile(
         root,
         path,
-        operator,
-        tail,
+        *folder_of(path),
         kind,
         size,
         mtime_ns,
@@ -192,15 +210,17 @@ def register_unread(
     not_read = quarantine.filter(pl.col("reason").is_in(UNREAD))["file"]
     read = {file.path for file in files}.difference(not_read)
     changed = []
-    for *row, digest in ledger_rows.select(_REGISTERED).unique().rows():
-        registered = Registered.parse(digest)
-        due = (due_at or {}).get(row[0])
-        if row[0] in read:
+    for row in ledger_rows.select(_REGISTERED).filter(pl.col("path") != "").unique().rows():
+        file = _landing_file("", row)
+        registered = Registered.parse(row[-1])
+        due = (due_at or {}).get(file.path)
+        if file.path in read:
             as_read = registered._replace(due_at=due.isoformat() if due else "")
         else:
             as_read = registered._replace(content_hash="")
         if as_read != registered:
-            changed.append((*row, str(as_read)))
+            airframe = file.tenures[0].airframe  # a log may belong to others, too
+            changed.append((file.path, *airframe, file.kind, file.size, file.mtime_ns, str(as_read)))
     if changed:
         ledger.register(changed, {})
     return bool(changed)

@@ -8,7 +8,7 @@ import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -16,15 +16,19 @@ from typing import NamedTuple
 import polars as pl
 
 from hdt_core.components import recorded_components
+from pipelines.intake.airframes import find_airframes, overlapping_folders, undated_folders
 from pipelines.intake.faults import MAX_NAMES, Fault, quarantine
 from pipelines.intake.findings import COSTS, case_files
 from pipelines.intake.findings import NAME as COSTS_FILE
 from pipelines.intake.landing_file import (
     PACKS,
     RECORDER,
+    Aircraft,
     Kind,
     LandingFile,
     Registered,
+    flight_day,
+    flight_of_file,
     hash_of,
     is_operator,
     is_tail,
@@ -34,7 +38,7 @@ from pipelines.intake.logs import FleetLines, fleet_lines
 from pipelines.intake.readers import NO_READER, REPORTS, TYPES, Zone, readers
 from pipelines.lineage import FLIGHT_FILES
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.ledger import FileRecord, Ledger
+from pipelines.storage.ledger import Cell, FileRecord, Ledger, Move
 
 PART = ".part"
 MAX_NS = 2**63 - 1
@@ -52,11 +56,15 @@ class Landing(NamedTuple):
 class _Listing:
     """Files and faults of one walk over the zone."""
 
-    def __init__(self, landing: Path) -> None:
+    def __init__(self, landing: Path, ledger: Ledger | None) -> None:
         self.root = str(landing.resolve())
         self.files: list[LandingFile] = []
         self.faults: list[tuple[str, Fault, datetime]] = []
         self.lines = fleet_lines(landing.resolve())
+        lines = [line for own in self.lines.values() for line in own]
+        days = {folder: _flight_days(self.root, folder, ledger) for folder in undated_folders(lines)}
+        self.apart = overlapping_folders(lines, days)
+        self.airframes = find_airframes(lines, self.apart)
         self.own = {*_KINDS, *recorded_components()}
         self.zones: dict[str, Zone] = {}
 
@@ -108,7 +116,24 @@ class _Listing:
             return
         times = status.st_mtime_ns, max(status.st_ctime_ns, status.st_mtime_ns)
         in_fleet_list = keys == ("", "") or keys in self.lines
-        self.files.append(LandingFile(self.root, path, *keys, kind, status.st_size, *times, context, in_fleet_list))
+        words = filter(None, (context, self._airframe_word(kind, keys, entry.name)))
+        file = LandingFile(self.root, path, *keys, kind, status.st_size, *times, " ".join(words), in_fleet_list)
+        self.files.append(file)
+
+    def _airframe_word(self, kind: Kind, folder: Aircraft, name: str) -> str:
+        """Give the airframes that a file belongs to, where these are others than that of its folder's name."""
+        if kind == "fleet":
+            names = sorted(":".join(folder) for folder in self.apart)
+            return f"apart={','.join(names)}" if names else ""
+        tenures = self.airframes.tenures(folder)
+        flight = flight_of_file(name, folder[1])
+        day = flight_day(flight) if flight else None
+        if day:
+            tenures = [t for t in tenures if t.since <= day][-1:]
+            tenures = [replace(t, since=date.min) for t in tenures]
+        if not tenures or [(t.airframe, t.prefix) for t in tenures] == [(folder, "")]:
+            return ""
+        return f"airframe={';'.join(map(str, tenures))}"
 
     def _add_log(self, entry: os.DirEntry[str], path: str) -> bool:
         """Add fleet.csv at the top and the logs of a tail; whether the entry is one of them."""
@@ -140,13 +165,14 @@ _LOGS: dict[tuple[int, str], Kind] = {
 }  # fmt: skip
 
 
-def list_landing(landing: Path) -> Landing:
+def list_landing(landing: Path, ledger: Ledger | None = None) -> Landing:
     """List all files of the contract below `landing`, sorted by path; `.part` files are incomplete and ignored.
 
+    Of lines of one msn without dates the flights say whether they follow each other, those of the ledger among them.
     Per-flight files of an unusual name are listed too (their column names the flight). Entries that fit no pattern,
     lead out of the zone or are no regular file become quarantine rows.
     """
-    walk = _Listing(landing)
+    walk = _Listing(landing, ledger)
     _descriptions(walk)
     for operator in walk.folders("", is_operator, _OPERATOR):
         for tail in walk.folders(operator, is_tail, _TAIL):
@@ -189,7 +215,7 @@ def reading_context(lines: FleetLines, operator: str, tail: str, place: str, rea
     It is recorded with the hash of each file, so a file is read again when this changes, and only then. Defaults (two
     packs, listed, the default record) are left out. `reader_version` is the version of the folder's reader.
     """
-    line, words = lines.get((operator, tail)), list[str]()
+    line, words = next(iter(lines.get((operator, tail), ())), None), list[str]()
     if line and line.packs != PACKS and place != REPORTS:
         words.append(f"packs={line.packs}")
     if line and line.delivered_on and place == MAINTENANCE:
@@ -252,11 +278,14 @@ class Scan:
 
 def scan(landing: Path, ledger: Ledger) -> Scan:
     """Register new and changed files of the landing zone, with the flights of each."""
-    began_ns, listing, records = time.time_ns(), list_landing(landing), ledger.file_records()
+    began_ns, listing, records = time.time_ns(), list_landing(landing, ledger), ledger.file_records()
     new = _new_files(listing.files, records, ledger)
     digests = {f.path: _digest(f) for f in new}
     flights = {f.path: _flights(f, digests) for f in new if f.kind in FLIGHT_FILES}
-    rows = [(f.path, f.operator, f.tail, _kind_of(f, flights), f.size, f.mtime_ns, str(digests[f.path])) for f in new]
+    rows = [
+        (f.path, *f.tenures[0].airframe, _kind_of(f, flights), f.size, f.mtime_ns, str(digests[f.path])) for f in new
+    ]
+    cells = {f.path: _cells_of(f, flights.get(f.path, [])) for f in new}
     no_files = [(p, "", "", NO_FILE, 0, 0, reason) for p, reason in listing.quarantine.select("file", "reason").rows()]
     rows += [r for r in no_files if r[0] not in records]
     own_files = [*case_files(CaseLog(ledger.home).entries()), *_settings(ledger.home, records)]
@@ -265,7 +294,7 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
     recorded_ns = {path: record.touched_ns for path, record in records.items()}
     touch_times = [(f.path, f.touched_ns) for f in final if recorded_ns.get(f.path) != f.touched_ns]
     if rows or touch_times:
-        ledger.register(rows, flights, touch_times)
+        ledger.register(rows, cells, touch_times, _moves(new, records, ledger))
     new_paths = frozenset(f.path for f in new)
     read_paths = frozenset(f.path for f in listing.files if f.path not in digests or digests[f.path].content_hash)
     n_flights = sum(map(len, flights.values()))
@@ -295,6 +324,48 @@ def _flights(file: LandingFile, digests: dict[str, Registered]) -> list[str]:
     return flights or []
 
 
+def _cells_of(file: LandingFile, flights: Iterable[str]) -> list[Cell]:
+    """List the flights of a file by airframe and, of a log, the further airframes that its lines belong to."""
+    days = [(flight_day(flight) or date.min, flight) for flight in flights]
+    tenures = [(file.tenure(day), flight) for day, flight in days]
+    further = [] if file.kind in FLIGHT_FILES else file.tenures[1:]
+    return [*((*t.airframe, t.prefix + flight) for t, flight in tenures), *((*t.airframe, "") for t in further)]
+
+
+def _moves(files: Iterable[LandingFile], records: Records, ledger: Ledger) -> list[Move]:
+    """List what is on record of files whose airframe is another now, and where it belongs."""
+    changed = {f.path: f for f in files if f.path in records and f.tenures != _recorded(f, records).tenures}
+    moves = []
+    for path, operator, tail, flight in ledger.cells_of_files() if changed else ():
+        file = changed.get(path)
+        if file:
+            delivered = flight.rpartition(".")[2]
+            new_cell = (_cells_of(file, [delivered]) if flight else [(*file.tenures[0].airframe, "")])[0]
+            if new_cell != (operator, tail, flight):
+                moves.append((path, (operator, tail, flight), new_cell))
+    return moves
+
+
+def _recorded(file: LandingFile, records: Records) -> LandingFile:
+    return replace(file, context=Registered.parse(records[file.path].digest).context)
+
+
+def _flight_days(root: str, folder: Aircraft, ledger: Ledger | None) -> list[date]:
+    """List the days of the flights of an operator and tail, in the landing zone and on record."""
+    from pipelines.intake.snapshots import flights_in
+
+    below = "/".join(folder)
+    flights = {
+        c[3].rpartition(".")[2] for c in (ledger.cells_of_files() if ledger else ()) if c[0].startswith(f"{below}/")
+    }
+    for kinds in _KINDS:
+        for file in Path(root, below, kinds).glob("*"):
+            if PART not in file.name and file.is_file():
+                path = f"{below}/{kinds}/{file.name}"
+                flights.update(flights_in(LandingFile(root, path, *folder, "acms", 0, 0)) or ())
+    return sorted(day for flight in flights if (day := flight_day(flight)))
+
+
 def _settings(home: Path, records: Records) -> Iterator[Row]:
     """List the home's own settings as the ledger lists delivered files; one that was removed has no content."""
     file = home / COSTS_FILE
@@ -304,7 +375,7 @@ def _settings(home: Path, records: Records) -> Iterator[Row]:
 
 def list_new_files(landing: Path, ledger: Ledger) -> tuple[int, list[LandingFile]]:
     """Count the files, and list those that are new or changed without registering them."""
-    files = list_landing(landing).files
+    files = list_landing(landing, ledger).files
     return len(files), _new_files(files, ledger.file_records(), ledger)
 
 
@@ -320,7 +391,7 @@ def _with_recorded_context(file: LandingFile, records: Records) -> LandingFile:
     """Keep the recorded context of a file whose aircraft is not in the fleet list at present."""
     if file.in_fleet_list or file.path not in records:
         return file
-    return replace(file, context=Registered.parse(records[file.path].digest).context)
+    return _recorded(file, records)
 
 
 def _is_new(file: LandingFile, record: FileRecord | None, last_scan_ns: int, now: datetime) -> bool:

@@ -124,6 +124,24 @@ def zone_note(naive: pl.DataFrame, name: str) -> list[Fault]:
     return [Fault("time_without_zone", column_name=name, detail=f"Rows: {naive.height}.")] if naive.height else []
 
 
+Aircraft = tuple[str, str]
+"""Operator and tail, of a folder or as the key of an airframe."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tenure:
+    """The airframe that an operator and tail belonged to from a day on."""
+
+    since: date
+    airframe: Aircraft
+    """Key of the airframe."""
+    prefix: str = ""
+    """What its flights' ids begin with as stored: the operator, where the airframe had this tail under another one."""
+
+    def __str__(self) -> str:
+        return ",".join((str(self.since), *self.airframe, self.prefix))
+
+
 Kind = Literal[
     "acms", "history", "cpl", "component", "recorder", "reports", "type", "messages", "maintenance", "fleet", "checks"
 ]
@@ -170,6 +188,12 @@ class LandingFile:
         return int(self._word("packs") or PACKS)
 
     @property
+    def apart(self) -> list[Aircraft]:
+        """Operators and tails that are airframes of their own by their flights, of the fleet list."""
+        words = (self._word("apart") or "").split(",")
+        return [(operator, tail) for operator, _, tail in (word.partition(":") for word in words if word)]
+
+    @property
     def delivered_on(self) -> date | None:
         """Day on which its aircraft was delivered, of a maintenance log."""
         day = self._word("delivered_on")
@@ -179,6 +203,17 @@ class LandingFile:
     def other_operators(self) -> str | None:
         """None where the fleet list has the aircraft; else operators under which it has the tail."""
         return self._word("unlisted")
+
+    @property
+    def tenures(self) -> list[Tenure]:
+        """Airframes that its operator and tail belonged to, the first from the beginning."""
+        words = (word.split(",") for word in (self._word("airframe") or "").split(";") if word)
+        tenures = [Tenure(date.fromisoformat(since), (o, t), prefix) for since, o, t, prefix in words]
+        return tenures or [Tenure(date.min, (self.operator, self.tail))]
+
+    def tenure(self, day: date) -> Tenure:
+        """Return the airframe that its operator and tail belonged to on a day."""
+        return [t for t in self.tenures if t.since <= day][-1]
 
     def _word(self, name: str) -> str | None:
         return dict(word.split("=", 1) for word in self.context.split()).get(name)

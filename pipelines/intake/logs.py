@@ -117,41 +117,54 @@ def _first_of_key(good: dict[Row, int], n_key: int, text: Text, faults: list[Fau
     return list(first.values())
 
 
-CONTRACT = Contract(("operator", "tail"), ("msn", "delivered_on", "packs", "type"))
+CONTRACT = Contract(("operator", "tail"), ("msn", "delivered_on", "packs", "type"), extra=("valid_from", "valid_to"))
 
 
 @dataclass(frozen=True, slots=True)
 class FleetLine:
-    """The list's entry of one aircraft; `type` is empty where its files are the default record."""
+    """A line of the list: an airframe (`msn`) under one operator and tail.
 
+    `type` is empty where its files are the default record; dates are null where they are open.
+    """
+
+    operator: str
+    tail: str
+    msn: str | None = None
+    valid_from: date | None = None
+    valid_to: date | None = None
     delivered_on: date | None = None
     packs: int = PACKS
     type: str = ""
 
+    @property
+    def folder(self) -> tuple[str, str]:
+        """Operator and tail."""
+        return self.operator, self.tail
 
-FleetLines = dict[tuple[str, str], FleetLine]
-"""By operator and tail."""
+
+FleetLines = dict[tuple[str, str], list[FleetLine]]
+"""Lines of each operator and tail, in the order of the list."""
 
 
 def parse_fleet(content: bytes) -> Lines:
-    """Parse an aircraft's first good line in the order of `raw_fleet`, and the faults of the others."""
-    return parse_list(content, CONTRACT, _validate_aircraft, n_key=2)
+    """Parse the first good line of each operator, tail, msn and begin as `FleetLine` has it; faults of the others."""
+    return parse_list(content, CONTRACT, _validate_aircraft, n_key=4)
 
 
 def _validate_aircraft(words: Words, _: datetime | None) -> Row | Fault:
     if not is_operator(words["operator"]) or not is_tail(words["tail"]):
         return Fault("bad_key", column_name="operator, tail")
-    day = to_day(words["delivered_on"])
-    if words["delivered_on"] and day is None:
-        return Fault("unreadable_time", column_name="delivered_on")
+    days = {name: to_day(words[name]) for name in ("valid_from", "valid_to", "delivered_on")}
+    if odd := [name for name, day in days.items() if words[name] and day is None]:
+        return Fault("unreadable_time", column_name=", ".join(odd))
     packs = _number_up_to(MAX_PACKS, words["packs"] or str(PACKS))
     if packs == 0:
         return Fault("bad_pack", column_name="packs")
-    return (words["operator"], words["tail"], words["msn"] or None, day, packs, words["type"] or None)
+    return (words["operator"], words["tail"], words["msn"] or None, *days.values(), packs, words["type"])
 
 
 def fleet_lines(landing: Path) -> FleetLines:
-    """Read each aircraft's line by operator and tail; none where the list can't be read, which its intake reports."""
+    """Read the lines by operator and tail; none where the list can't be read, which its intake reports."""
     path = landing / "fleet.csv"
     return _lines(path, path.stat().st_ctime_ns) if path.is_file() else {}
 
@@ -162,7 +175,11 @@ def _lines(path: Path, _changed_ns: int) -> FleetLines:
         rows: list[Any] = parse_fleet(path.read_bytes()).rows
     except OSError:
         return {}
-    return {(operator, tail): FleetLine(day, packs, kind or "") for operator, tail, _, day, packs, kind in rows}
+    lines = FleetLines()
+    for row in rows:
+        line = FleetLine(*row)
+        lines.setdefault(line.folder, []).append(line)
+    return lines
 
 
 COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")
@@ -189,7 +206,7 @@ def read_messages(file: LandingFile, now: datetime) -> FileIntake:
         if not re.fullmatch(r"[A-Z0-9][A-Z0-9-]{1,31}", words["code"], re.ASCII):
             return Fault("bad_code", column_name="code")
         flight, text = words["flight_id"] or None, words["text"] or None
-        return file.operator, file.tail, moment, flight, pack, words["code"], text
+        return file.operator, file.tail, moment, flight, pack, words["code"], file.path, text
 
     contract = Contract(("message_time", "flight_id", "pack", "code"), ("text",))
     log = _read_log(
@@ -225,7 +242,7 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
         finding, reference = codes["finding"] or None, words["reference"] or None
         serials = (words[name] or None for name in SERIALS)
         return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
-                *serials, status or None)  # fmt: skip
+                *serials, status or None, file.path)  # fmt: skip
 
     no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", *CLOSES))
     contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=(*SERIALS, STATUS))
@@ -244,8 +261,9 @@ def is_done() -> pl.Expr:
 
 
 def read_fleet(file: LandingFile, now: datetime) -> FileIntake:
-    """Read the fleet list: the columns of `raw_fleet`."""
-    return _read_log(file, RawFleet.create_empty(), parse_fleet)
+    """Read the fleet list: the columns of `FleetLine`, as in `raw_fleet`."""
+    schema = {name: RawFleet.types()[name] for name in FleetLine.__slots__}
+    return _read_log(file, pl.DataFrame(schema=schema), parse_fleet)
 
 
 def read_checks(file: LandingFile, now: datetime) -> FileIntake:

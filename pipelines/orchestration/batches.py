@@ -170,5 +170,5 @@ def by_aircraft(cells: pl.DataFrame) -> dict[str, set[str]]:
     """Group flight keys by aircraft key, from operator, tail and flight_id (empty above flights)."""
     flights: dict[str, set[str]] = {}
     for o, t, f in cells.select("operator", "tail", "flight_id").rows():
-        flights.setdefault(aircraft_key(o, t), set()).add(flight_key(f))
+        flights.setdefault(aircraft_key(o, t), set()).add(flight_key(t, f))
     return flights

@@ -33,7 +33,7 @@ from dagster_batched.runs import open_instance as open_instance_in
 from hdt_core.loading import UserError
 from pipelines.assets import VIEWS
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, split_message
-from pipelines.resources import AIRCRAFT, FLIGHTS, NIGHT, aircraft_key, aircraft_of, flight_key
+from pipelines.resources import AIRCRAFT, FLIGHTS, NIGHT, aircraft_key, aircraft_of, flight_key, flight_of
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import publish
 
@@ -88,7 +88,7 @@ class Runner:
     def register(self, cells: pl.DataFrame) -> None:
         """Add a partition for every new aircraft and flight (operator, tail, flight_id), in order of departure."""
         aircraft = {aircraft_key(o, t) for o, t in cells.select("operator", "tail").unique().rows()}
-        flights = {flight_key(f) for f in cells["flight_id"].unique() if f}
+        flights = {flight_key(t, f) for t, f in cells.select("tail", "flight_id").unique().rows() if f}
         for definition, keys in ((AIRCRAFT, aircraft), (FLIGHTS, flights)):
             new_keys = sorted(keys - set(self._keys(definition)))
             if new_keys:
@@ -141,7 +141,7 @@ class Runner:
         if not first:
             return ""
         aircraft = aircraft_of(batch.label)
-        flight = f"{aircraft[1]}_{first}"
+        flight = flight_of(aircraft[1], first)
         files = sorted(self.ledger.of([aircraft]).flight_files().filter(flight_id=flight)["path"])
         return f"{flight} ({', '.join(files)})"
 

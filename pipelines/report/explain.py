@@ -17,7 +17,7 @@ Row = dict[str, Any]
 _UNIT = "a.operator = $1 and a.tail = $2 and a.pack = $3 and a.component"
 _NAMED = "a.alert_id in (select alert_id from alert_cases where $1 <> '' and starts_with(known_as, $1))"
 _PACK = re.compile(
-    r"(?:(?P<operator>[a-z]{3})[\s/]+)?(?P<tail>[a-z0-9-]{2,10})"
+    r"(?:(?P<operator>[a-z]{3})[\s/]+)?(?P<tail>[a-z0-9-]{2,10}(?:\.\d+)?)"
     r"(?:[\s/]+(?:pack\s+)?(?P<pack>[1-4])(?:\s+\((?:left|right)\))?)?",
     re.IGNORECASE,
 )
@@ -62,7 +62,9 @@ def _ranked(con: duckdb.DuckDBPyConnection, name: str, view: str) -> list[Row]:
     if match is None:
         return []
     operator, tail, pack = (match[part] and match[part].upper() for part in ("operator", "tail", "pack"))
-    condition = "tail = $1 and operator = coalesce($2, operator) and pack = coalesce($3, pack)"
+    named = "tail = $1 and operator = coalesce($2, operator)"
+    had = f"select (present_operator, present_tail) from tables.names where {named}"
+    condition = f"({named} or (operator, tail) in ({had})) and pack = coalesce($3, pack)"
     return _rows(con, f"select * from {view} where {condition} order by place", tail, operator, pack and int(pack))
 
 

@@ -33,8 +33,10 @@ def catalog_version(home: Path) -> tuple[int, int]:
     return stat.st_ino, stat.st_ctime_ns
 
 
-def connect(home: Path) -> duckdb.DuckDBPyConnection:
+def connect(home: Path, *, as_delivered: bool = False) -> duckdb.DuckDBPyConnection:
     """Open the published catalog read only: nothing in the home is written, not even what a large sort spills.
+
+    Its views name airframes by their present operator and tail, so that they join; `as_delivered` as public views do.
 
     The connection reaches nothing but the tables' own files or objects: no other file, no other place in the network,
     no extension; and no statement can change that.
@@ -50,6 +52,8 @@ def connect(home: Path) -> duckdb.DuckDBPyConnection:
         raise FileNotFoundError(f"no catalog at {home / CATALOG}; run `hdt nightly --landing DIR --home {home}` first")
     with _OPENING:  # connections of one process share a database: of two first ones at once, one may lock it
         con = _open_locked(home)
+    if not as_delivered and con.execute("from duckdb_schemas() where schema_name = 'airframes'").fetchall():
+        con.execute("set schema = 'airframes'")
     return cast("duckdb.DuckDBPyConnection", _VerifiedCatalog(con, home))
 
 
@@ -83,8 +87,11 @@ class _VerifiedCatalog:
         self._verified = _verified_tables(version, int(time.time() / _TRUST_S))
         self._views = _names_by_view(version)
         if not self._views:
-            sql = con.execute("select view_name, sql from duckdb_views() where schema_name = 'main' and not internal")
-            self._views |= {str(name): _names(text) for name, text in sql.fetchall()}
+            sql = con.execute(
+                "select view_name, sql from duckdb_views() where schema_name <> 'tables' and not internal"
+            )
+            for name, text in sql.fetchall():
+                self._views.setdefault(str(name), set()).update(_names(text))
 
     def sql(self, query: str, **how: Any) -> duckdb.DuckDBPyRelation:
         """Run a select."""

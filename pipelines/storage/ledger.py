@@ -13,7 +13,7 @@ import os
 import re
 import sqlite3
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -68,6 +68,10 @@ _SET_VERSION = (
 )
 
 
+Cell = tuple[str, str, str]
+"""Operator and tail of an airframe's key, and a flight of it; empty above flights."""
+Move = tuple[str, Cell, Cell]
+"""A file, a cell that it was registered for, and the one that it belongs to now."""
 _Query = tuple[str, list[str]]
 """SQL and its arguments."""
 
@@ -159,41 +163,71 @@ class Ledger:
     def register(
         self,
         files: Iterable[tuple[str, str, str, str, int, int, str]],
-        flights: dict[str, list[str]],
+        cells_of_file: Mapping[str, Iterable[Cell]],
         touch_times_ns: Iterable[tuple[str, int]] = (),
+        moves: Iterable[Move] = (),
     ) -> None:
         """Record new or changed files (path, operator, tail, kind, size, mtime_ns, digest) and the flights of each.
 
         And when files were last touched (path, time in ns). A flight that a replaced file no longer holds stays
-        assigned to it: its stored rows stay, and are accounted for even where a killed night got no further.
+        assigned to it: its stored rows stay, and are accounted for even where a killed night got no further. A cell
+        that a file has left for that of another airframe stays, without a file, and is made once more: without rows.
         """
-        rows = list(files)
+        rows, moves = list(files), list(moves)
         with self._write(settled=True) as con:
             con.executemany(_SET_FILE, rows)
             con.executemany(_SET_TOUCHED, list(touch_times_ns))
-            pairs = [(r[0], r[1], r[2], f) for r in rows for f in flights.get(r[0], [])]
-            con.executemany("insert into file_flights values (?, ?, ?, ?) on conflict do nothing", pairs)
+            assigned = [(r[0], *cell) for r in rows for cell in cells_of_file.get(r[0], ())]
+            assigned += [(path, *new) for path, _, new in moves if new[2]]
+            left = [(path, *old) for path, old, _ in moves]
+            where = "path = ? and operator = ? and tail = ? and flight_id = ?"
+            con.executemany(f"delete from file_flights where {where}", left)
+            assigned += [("", *old) for _, old, _ in moves]
+            con.executemany("insert into file_flights values (?, ?, ?, ?) on conflict do nothing", assigned)
             if con.execute("select made_as from settled").fetchall():  # else any cell may be stale
-                cells = {(r[1], r[2], f) for r in rows for f in ("", *flights.get(r[0], []))}
+                cells = {(r[1], r[2], "") for r in rows} | {a[1:] for a in assigned}
+                cells |= {(operator, tail, "") for operator, tail, _ in cells}
                 con.executemany("insert into moved values (?, ?, ?) on conflict do nothing", sorted(cells))
             sys.audit("hdt.before_register")
         sys.audit("hdt.after_register")
 
     def files(self, kinds: Iterable[str]) -> pl.DataFrame:
-        """List files of some kinds: path, operator, tail, kind, digest, size, mtime_ns."""
+        """List files of some kinds: path, operator, tail, kind, digest, size, mtime_ns; each once an airframe.
+
+        And, with an empty path, airframes that a file has left.
+        """
         kinds = list(kinds)
         marks = ",".join("?" * len(kinds)) or "null"  # PostgreSQL has no empty list
-        return self._cells(f"select {_COLUMNS} from files where kind in ({marks})", "files", kinds)
+        further = (
+            "select l.path, l.operator, l.tail, coalesce(f.kind, '') as kind, coalesce(f.digest, '') as digest,"
+            " coalesce(f.size, 0) as size, coalesce(f.mtime_ns, 0) as mtime_ns from file_flights l"
+            f" left join files f on l.path = f.path where l.flight_id = '' and (l.path = '' or f.kind in ({marks}))"
+        )
+        queries = ((f"select {_COLUMNS} from files where kind in ({marks})", "files"), (further, "l"))
+        return pl.concat(self._frames([self._restricted(sql, table, kinds) for sql, table in queries]))
 
     def flight_files(self) -> pl.DataFrame:
         """List each file and flight in it: operator, tail, flight_id, path, digest, kind, size, mtime_ns."""
         columns = "l.operator, l.tail, l.flight_id, l.path, f.digest, f.kind, f.size, f.mtime_ns"
-        return self._cells(f"select {columns} from file_flights l join files f using (path) where true", "l")
+        joined = "file_flights l join files f on l.path = f.path"
+        return self._cells(f"select {columns} from {joined} where l.flight_id <> ''", "l")
 
     def flight_inputs(self) -> pl.DataFrame:
-        """List the inputs of each flight, a row a file that holds it: operator, tail, flight_id, line (path=digest)."""
-        columns = "l.operator, l.tail, l.flight_id, l.path || '=' || f.digest as line"
-        return self._cells(f"select {columns} from file_flights l join files f using (path) where true", "l")
+        """List the inputs of each flight, a row a file that holds it: operator, tail, flight_id, line (path=digest).
+
+        A flight that its file has left for another airframe has a line without path.
+        """
+        columns = "l.operator, l.tail, l.flight_id, l.path || '=' || coalesce(f.digest, '') as line"
+        joined = "file_flights l left join files f on l.path = f.path"
+        return self._cells(f"select {columns} from {joined} where l.flight_id <> ''", "l")
+
+    def cells_of_files(self) -> list[tuple[str, str, str, str]]:
+        """List each file's airframe and flights: path, operator, tail, flight_id (empty above flights)."""
+        sql = (
+            "select path, operator, tail, '' from files where operator <> ''"
+            " union select path, operator, tail, flight_id from file_flights where path <> ''"
+        )
+        return self._query(lambda con: con.execute(sql).fetchall())
 
     def cells(self, asset: str) -> pl.DataFrame:
         """List the stored cells of an asset: operator, tail, flight_id (empty above flights), version."""
@@ -247,7 +281,8 @@ class Ledger:
 
     def flights_on_file(self) -> pl.DataFrame:
         """List the flights of all files: operator, tail, flight_id."""
-        return self._cells("select distinct operator, tail, flight_id from file_flights where true", "file_flights")
+        columns = "distinct operator, tail, flight_id"
+        return self._cells(f"select {columns} from file_flights where flight_id <> ''", "file_flights")
 
     def note_night(self, row: tuple[str, str, int, int, int, int, str]) -> None:
         """Record a night that ended: began_at, ended_at, files, new_files, runs, cells, failed (JSON)."""

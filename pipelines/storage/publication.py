@@ -8,7 +8,7 @@ view would be planned over two hundred Parquet readers, a second of processor be
 import re
 import shutil
 from collections import ChainMap
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from graphlib import TopologicalSorter
@@ -23,6 +23,7 @@ from pipelines.storage.catalog import CATALOG, open_catalog, open_database, quot
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import hash_of, replacing
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.naming import SCHEMA, Name, add_names, columns_of, public_view, read_names, with_present_names
 from pipelines.storage.objects import StoreError, message_of
 from pipelines.storage.seal import copy_ledger, find_night, remove_expired_daily, write_seal
 from pipelines.storage.store import EMPTY, Store
@@ -125,6 +126,8 @@ def publish(home: Path) -> Path:
     """
     store, path = Store(home.resolve()), home.resolve() / CATALOG
     reuse = _is_as_published(path) and find_catalog_fault(home) in (None, _ANOTHER_PLACE)
+    names = read_names(store)
+    reuse = reuse and _names_in(home) == names
     with replacing(path) as temporary:
         if reuse:
             shutil.copyfile(path, temporary)
@@ -133,8 +136,11 @@ def publish(home: Path) -> Path:
             store.allow_reads(con)
             con.execute("set TimeZone = 'UTC'")  # as readers have it
             con.begin()  # a commit for every comment would take longer than all the rest
-            changed = update_files(con, store, tables) if reuse else create_views(con, store, tables, STORED)
+            changed = (
+                update_files(con, store, tables, names) if reuse else create_views(con, store, tables, names, STORED)
+            )
             if changed:
+                con.execute(f"set schema = '{SCHEMA if names else 'main'}'")
                 _store_rows(con, store, tables, changed)
             con.commit()
         except duckdb.Error:
@@ -153,11 +159,11 @@ def publish(home: Path) -> Path:
     return path
 
 
-def connect_as_of(home: Path, night: str) -> duckdb.DuckDBPyConnection:
+def connect_as_of(home: Path, night: str, *, as_delivered: bool = False) -> duckdb.DuckDBPyConnection:
     """Open the catalog of an earlier night: today's views over the tables of that time.
 
     It is the last night that ended at or before `night`, a date or the first part of a time in UTC. Every file of it is
-    checked once.
+    checked once. Airframes are named as in `catalog.connect`.
 
     Raises
     ------
@@ -178,8 +184,11 @@ def connect_as_of(home: Path, night: str) -> duckdb.DuckDBPyConnection:
         raise StoreError(f"the night of {name} is not kept whole any more: {str(error).split(';')[0]}") from None
     con = duckdb.connect(":memory:")
     store.allow_reads(con)
-    create_views(con, store, tables)
+    names = read_names(store)
+    create_views(con, store, tables, names)
     restrict(con, store, f"{store.place.url}/")
+    if names and not as_delivered:
+        con.execute(f"set schema = '{SCHEMA}'")
     return con
 
 
@@ -190,27 +199,43 @@ def _is_as_published(path: Path) -> bool:
         return False
 
 
+def _names_in(home: Path) -> list[Name]:
+    with open_catalog(home) as con:
+        rows = con.execute("select * from tables.names").fetchall()
+    return [Name((r[0], r[1]), (r[2], r[3]), r[4], (r[5], r[6])) for r in rows]
+
+
 def create_views(
-    con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, stored: Collection[str] = ()
+    con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, names: Sequence[Name], stored: Collection[str] = ()
 ) -> set[str]:
     """Create every view over the files of each table, and the list of those files; return the tables.
 
-    The views of `stored` read the rows that `_store_rows` stores.
+    Where airframes changed their names, the views of the schema `airframes` have the present ones, and public views
+    over them those as delivered. The views of `stored` read the rows that `_store_rows` stores.
     """
     con.execute("create schema tables")
     con.execute("create table tables.files (path varchar)")
     con.execute("comment on column tables.files.path is 'a file that the views read, below the tables'' folder'")
-    changed = update_files(con, store, tables)
+    changed = update_files(con, store, tables, names)
+    add_names(con, names)
     of_components = " where component in (select component from tables.components where recorded)"
     for former, table in (FORMER_NAMES | FORMER_COMPONENT_TABLES).items():
         rows = of_components if former in FORMER_COMPONENT_TABLES else ""
         con.execute(f"create view tables.{former} as from tables.{table}{rows}")
         add_meanings(con, table, former)
+    if names:
+        con.execute(f"create schema {SCHEMA}; set schema = '{SCHEMA}'")
     add_views(con, stored)
+    if names:
+        columns = columns_of(con)
+        con.execute("set schema = 'main'")
+        for view in views():
+            con.execute(public_view(view, columns[view]))
+        _comment_views(con)
     return changed
 
 
-def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables) -> set[str]:
+def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, names: Sequence[Name]) -> set[str]:
     """Update where the tables lie, their files, and the view of each table whose files have changed; return those."""
     macros = {"folder": _folder(store), "made_for": quote(_place_hash(store)), "made_as": quote(_recipe_hash())}
     for name, value in macros.items():
@@ -222,11 +247,11 @@ def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables) -
     paths = [path for _, files in tables.values() for path in files]
     con.execute("insert into tables.files select unnest($paths)", {"paths": paths})
     changed = {table for table, (_, files) in tables.items() if files != old.get(table)}
-    names = {table: ", ".join(map(quote, tables[table][1])) for table in sorted(changed)}
-    for table, files in names.items():
+    files_of = {table: ", ".join(map(quote, tables[table][1])) for table in sorted(changed)}
+    for table, files in files_of.items():
         places = f"list_transform([{files}], lambda file: tables.folder() || file)"
         select = f"select * from read_parquet({places}, union_by_name = true)"
-        con.execute(f"create or replace view tables.{table} as {select}")
+        con.execute(f"create or replace view tables.{table} as {with_present_names(select, table, names)}")
         add_meanings(con, table)
     return changed
 
@@ -299,18 +324,17 @@ def add_views(con: duckdb.DuckDBPyConnection, stored: Collection[str] = ()) -> N
         if name in stored:
             con.execute(f"create table tables.{name} as from {name} limit 0")
             con.execute(f"create or replace view {name} as from tables.{name}")
+    _comment_views(con, stored)
+
+
+def _comment_views(con: duckdb.DuckDBPyConnection, stored: Collection[str] = ()) -> None:
+    """Comment the views of the current schema, and tables of their names that are `stored`."""
     questions = {name: header.question for name, header in view_headers().items()}
     con.execute("; ".join(f"comment on view {name} is {quote(question)}" for name, question in questions.items()))
     meanings = meanings_of_columns()
-    for view, columns in con.execute(_COLUMNS).fetchall():
+    for view, columns in columns_of(con).items():
         for place in (view, f"tables.{view}") if view in stored else (view,):
             _comment(con, place, {c: meanings[view].get(c, "") for c in columns})
-
-
-_COLUMNS = """
-select table_name, list(column_name order by column_index) from duckdb_columns()
-where database_name = current_database() and schema_name = 'main' and not internal
-group by table_name order by table_name"""
 
 
 def tables_read() -> list[str]:

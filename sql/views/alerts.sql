@@ -2,7 +2,7 @@
 -- raised_on: day of raised_at in UTC; raised_at::date is a day of the session's time zone
 -- closed_on: day of closed_at in UTC
 -- case_id: its case, which keeps its id where the data give the alert another
--- Grain: alert. Reads: alert_cases, tables.features_alerts.
+-- Grain: alert. Reads: alert_cases, tables.features_alerts, airframes.
 create or replace view alerts as
 with own_cases as (
     select distinct
@@ -15,6 +15,8 @@ select
     a.*,
     (a.raised_at at time zone 'UTC')::date as raised_on,
     (a.closed_at at time zone 'UTC')::date as closed_on,
-    coalesce(c.case_id, a.alert_id) as case_id
+    coalesce(c.case_id, a.alert_id) as case_id,
+    n.msn
 from tables.features_alerts as a
-left join own_cases as c on a.alert_id = c.alert_id;
+left join own_cases as c on a.alert_id = c.alert_id
+left join airframes as n on a.operator = n.operator and a.tail = n.tail;

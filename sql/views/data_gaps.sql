@@ -84,4 +84,7 @@ select
     null::bigint as n_flights,
     null::double as silent_days
 from tables.raw_fleet as f
-anti join flights as k on f.operator = k.operator and f.tail = k.tail;
+anti join flights as k
+    on
+        coalesce(f.airframe_operator, f.operator) = k.operator
+        and coalesce(f.airframe_tail, f.tail) = k.tail;

@@ -26,7 +26,7 @@
 -- message_flown: flights since, the message's included
 -- off_since: departure of the first flight of the present row of flights with the pack switched off
 -- Grain: pack. Reads: health_parameters, missing_estimates, unit_urgencies, unestimated_units,
--- alert_urgencies, open_messages, tables.legs_verdicts, tables.components.
+-- alert_urgencies, airframes, open_messages, tables.legs_verdicts, tables.components.
 create or replace view fleet_ranking as
 with others as (
     select component
@@ -241,7 +241,9 @@ select
     u.message_at,
     u.message_flights,
     u.message_flown,
-    u.off_since
+    u.off_since,
+    n.msn
 from urgent as u
+left join airframes as n on u.operator = n.operator and u.tail = n.tail
 left join missing_estimates as m
     on u.operator = m.operator and u.tail = m.tail and u.pack = m.pack and m.component = 'HX';

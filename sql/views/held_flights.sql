@@ -1,7 +1,7 @@
 -- Which flights are not used, why, and what made them so?
 -- departed_at: as delivered
 -- likely_cause: null where the numbers show none
--- Grain: flight. Reads: tables.record_held, tables.raw_fleet.
+-- Grain: flight. Reads: tables.record_held, airframes.
 create or replace view held_flights as
 select
     h.operator,
@@ -15,4 +15,4 @@ select
     h.held_since,
     h.other_flight_id
 from tables.record_held as h
-left join tables.raw_fleet as f on h.operator = f.operator and h.tail = f.tail;
+left join airframes as f on h.operator = f.operator and h.tail = f.tail;

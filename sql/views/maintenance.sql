@@ -6,18 +6,9 @@
 -- matched_by: log (as it is listed), recovery (when and where the flights show that a loss recovered)
 -- note: how it was taken otherwise than listed
 -- Grain: line of the log. Reads: tables.raw_maintenance, tables.raw_maintenance_not_done, tables.features_work,
--- tables.raw_fleet.
+-- airframes.
 create or replace view maintenance as
-with airframes as (
-    select
-        operator,
-        tail,
-        max(msn) as msn
-    from tables.raw_fleet
-    group by operator, tail
-),
-
-lines as (
+with lines as (
     select
         *,
         true as is_done

@@ -3,18 +3,9 @@
 -- matched_by: log (work that was logged in time), recovery (work that the flights show otherwise than it is logged)
 -- note: how the work is logged otherwise
 -- Grain: line of the log. Reads: tables.raw_messages, tables.components, flights, unit_lives, maintenance,
--- tables.raw_fleet.
+-- airframes.
 create or replace view messages as
-with airframes as (
-    select
-        operator,
-        tail,
-        max(msn) as msn
-    from tables.raw_fleet
-    group by operator, tail
-),
-
-failures as (
+with failures as (
     select
         *,
         lead(first_departed_at) over (partition by operator, tail, pack, component order by life) as next_departed_at

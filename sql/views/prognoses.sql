@@ -2,7 +2,7 @@
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
 -- status: ok; contradicted (the component was found clean since, and not renewed: what the sensors say, which an
 -- inspection did not see); prior_only (no flight of the unit was informative: the prior of any unit)
--- Grain: flight, pack, component. Reads: alerts, unobserved_units, tables.prognoses, tables.raw_maintenance.
+-- Grain: flight, pack, component. Reads: airframes, alerts, unobserved_units, tables.prognoses, tables.raw_maintenance.
 create or replace view prognoses as
 with findings as (
     select
@@ -64,8 +64,10 @@ select
     case
         when u.component is not null then 'prior_only'
         else coalesce(c.status, 'ok')
-    end as status
+    end as status,
+    n.msn
 from tables.prognoses as o
+left join airframes as n on o.operator = n.operator and o.tail = n.tail
 left join unobserved_units as u
     on
         o.operator = u.operator

@@ -1,8 +1,9 @@
 -- What was rejected, and why?
 -- Grain: rejected file, row or value; computed row; tail that flies for two operators on the same days; channel that a
--- recorder delivers otherwise than one reading a row, with the first file of it.
+-- recorder delivers otherwise than one reading a row, with the first file of it;
+-- name of an airframe with flights before its delivery, or on days on which no line of fleet.csv holds.
 -- Reads: tables.raw_quarantine, tables.raw_records_quarantine, tables.raw_files_quarantine, tables.raw_flights,
--- tables.raw_components_quarantine, tables.raw_deliveries, recorder_channels.
+-- tables.raw_components_quarantine, tables.raw_deliveries, recorder_channels, aircraft.
 create or replace view quarantine as
 with spans as (
     select
@@ -57,6 +58,57 @@ channels as (
     from recorder_channels as c
     inner join files as f
         on c.operator = f.operator and c.tail = f.tail and c.since_flight_id = f.flight_id
+),
+
+listed_flights as (
+    select
+        a.airframe_operator as operator,
+        a.airframe_tail as tail,
+        a.operator || '/' || a.tail as file,
+        f.departed_at,
+        min(a.delivered_on) as delivered_on,
+        bool_or(
+            (f.departed_at at time zone 'UTC')::date between coalesce(a.valid_from, '-infinity')
+            and coalesce(a.valid_to, 'infinity')
+        ) as is_valid
+    from tables.raw_flights as f
+    inner join aircraft as a
+        on
+            f.operator = a.airframe_operator
+            and f.tail = a.airframe_tail
+            and f.flight_id[:-13] = a.flight_prefix || a.tail
+    group by a.airframe_operator, a.airframe_tail, a.operator, a.tail, f.flight_id, f.departed_at
+),
+
+outside as (
+    select
+        *,
+        'flights_outside_line' as reason,
+        'on days on which no line of fleet.csv holds.' as words
+    from listed_flights
+    where not is_valid
+    union all
+    select
+        *,
+        'flights_before_delivery' as reason,
+        'before the delivery on ' || delivered_on || '.' as words
+    from listed_flights
+    where (departed_at at time zone 'UTC')::date < delivered_on
+),
+
+notes as (
+    select
+        file,
+        reason,
+        'note' as scope,
+        operator,
+        tail,
+        max(departed_at) as received_at,
+        0::bigint as n_rows,
+        count(*) || ' flights from ' || strftime(min(departed_at), '%Y-%m-%d') || ' to '
+        || strftime(max(departed_at), '%Y-%m-%d') || ' ' || words as detail
+    from outside
+    group by file, reason, operator, tail, words
 )
 
 select * from tables.raw_quarantine
@@ -69,4 +121,6 @@ select * from tables.raw_components_quarantine
 union all by name
 select * from shared
 union all by name
-select * from channels;
+select * from channels
+union all by name
+select * from notes;

@@ -92,7 +92,9 @@ def _another_folder(zone: Path) -> str:
 def test_what_is_no_landing_zone_is_said_at_once(tmp_path, command, make, help_s):
     """For a home that knows files too: nothing is taken for a night without flights."""
     message = make(tmp_path / "zone")
-    Ledger(tmp_path / "home").register([("a", "AAA", "T1", "acms", 1, 1, "d")], {"a": ["T1_20240101_01"]})
+    Ledger(tmp_path / "home").register(
+        [("a", "AAA", "T1", "acms", 1, 1, "d")], {"a": [("AAA", "T1", "T1_20240101_01")]}
+    )
     before = sorted((tmp_path / "home").iterdir())
     words = (*command, "--landing", str(tmp_path / "zone"), "--home", str(tmp_path / "home"))
     done = hdt(*words)

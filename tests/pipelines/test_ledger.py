@@ -25,7 +25,10 @@ from pipelines.storage.ledger import FILE, NAMES, Ledger
 A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
 FILES = [("a/1.csv", *A, "acms", 2**40, 2**62, "d1"), ("a/m.csv", *A, "messages", 1, 1, "d2"),
          ("b/1.csv", *B, "acms", 1, 1, "d3")]  # fmt: skip
-HOLDINGS = {"a/1.csv": ["LX-AAA_20240101_01", "LX-AAA_20240102_01"], "b/1.csv": ["LX-AAB_20240101_01"]}
+HOLDINGS = {
+    "a/1.csv": [(*A, "LX-AAA_20240101_01"), (*A, "LX-AAA_20240102_01")],
+    "b/1.csv": [(*B, "LX-AAB_20240101_01")],
+}
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -56,7 +59,7 @@ def test_what_is_registered_is_known_and_nights_are_told_in_order(ledger):
     for k in range(12):
         ledger.note_night(("2024-01-01", "2024-01-01", k, 0, 0, 0, "{}"))
     assert ledger.nights()["files"].to_list() == [str(k) for k in range(12)]
-    ledger.register([("a/1.csv", *A, "acms", 9, 9, "new")], {"a/1.csv": ["LX-AAA_20240103_01"]})
+    ledger.register([("a/1.csv", *A, "acms", 9, 9, "new")], {"a/1.csv": [(*A, "LX-AAA_20240103_01")]})
     assert ledger.file_records()["a/1.csv"][:2] == (9, 9)
     flight_inputs = ledger.flight_inputs().filter(pl.col("tail") == A[1])
     assert flight_inputs["line"].unique().to_list() == ["a/1.csv=new"]
@@ -181,10 +184,10 @@ def test_the_command_says_it_in_one_line(variable, message, tmp_path):
 
 def test_what_moved_since_it_was_settled_is_known_until_it_is_settled_again(ledger):
     one, two = (("AAA/T1/acms/x.csv", "AAA", "T1", "acms", 1, 1, d) for d in "de")
-    ledger.register([one], {one[0]: ["T1_20260101_01"]})
+    ledger.register([one], {one[0]: [(*one[1:3], "T1_20260101_01")]})
     assert (ledger.settled_version(), ledger.changed_cells().rows()) == (None, [])  # any cell may be stale
     ledger.settle("so")
-    ledger.register([two], {two[0]: ["T1_20260101_01"]})
+    ledger.register([two], {two[0]: [(*two[1:3], "T1_20260101_01")]})
     assert ledger.settled_version() == "so"
     assert set(ledger.changed_cells().rows()) == {("AAA", "T1", ""), ("AAA", "T1", "T1_20260101_01")}
     ledger.delete_cells(["features"], ("AAA", "T1"))

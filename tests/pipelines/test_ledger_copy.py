@@ -18,7 +18,7 @@ CELL = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AAA"], "flight_id": ["f1"
 def ledger(tmp_path, monkeypatch) -> Ledger:
     monkeypatch.delenv("HDT_LEDGER_URL", raising=False)
     ledger = Ledger(tmp_path)
-    ledger.register([("a/1.csv", "AQX", "LX-AAA", "acms", 1, 1, "d1")], {"a/1.csv": ["f1"]})
+    ledger.register([("a/1.csv", "AQX", "LX-AAA", "acms", 1, 1, "d1")], {"a/1.csv": [("AQX", "LX-AAA", "f1")]})
     ledger.mark("raw_flights", CELL)
     copy_ledger(ledger)
     return ledger

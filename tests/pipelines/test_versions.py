@@ -18,7 +18,7 @@ A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
 
 def deliver(ledger: Ledger, aircraft, name: str, flights: list[str], digest: str, kind: str = "acms") -> None:
     path = f"{aircraft[0]}/{aircraft[1]}/{name}"
-    ledger.register([(path, *aircraft, kind, 1, 1, digest)], {path: flights})
+    ledger.register([(path, *aircraft, kind, 1, 1, digest)], {path: [(*aircraft, flight) for flight in flights]})
 
 
 def make(ledger: Ledger, *tables: str, without_rows: str = "") -> None:

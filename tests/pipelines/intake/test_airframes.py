@@ -1,0 +1,81 @@
+"""Which airframe a line of the fleet list is, and which lines contradict each other."""
+
+from datetime import date, timedelta
+
+import pytest
+
+from pipelines.intake.airframes import find_airframes, overlapping_folders
+from pipelines.intake.logs import FleetLine
+
+DAY = date(2024, 5, 20)
+BEFORE = DAY - timedelta(days=1)
+FIRST, LATER, LEASED = ("AQX", "LX-AAC"), ("AQX", "LX-ZZC"), ("BZR", "LX-AAC")
+
+
+def line(folder, msn="40002", since=None, until=None, delivered=None) -> FleetLine:
+    return FleetLine(*folder, msn, since, until, delivered)
+
+
+@pytest.mark.parametrize(
+    ("lines", "keys"),
+    [
+        ([line(FIRST), line(LATER)], [FIRST, FIRST]),
+        ([line(LATER, since=DAY), line(FIRST, until=BEFORE)], [FIRST, FIRST]),
+        ([line(FIRST), line(LEASED)], [FIRST, FIRST]),
+        ([line(FIRST, msn=None), line(LATER, msn=None)], [FIRST, LATER]),
+        ([line(FIRST), line(LATER, msn="49999")], [FIRST, LATER]),
+    ],
+    ids=["registered anew", "dated and in disorder", "leased", "without msn", "two airframes"],
+)
+def test_key_is_name_of_earliest_line(lines, keys):
+    assert find_airframes(lines).keys == keys
+
+
+def test_reused_registration_is_another_airframe():
+    lines = [line(FIRST, until=BEFORE), line(FIRST, msn="49999", since=DAY)]
+
+    tenures = find_airframes(lines).tenures(FIRST)
+
+    assert [(t.since, t.airframe) for t in tenures] == [(date.min, FIRST), (DAY, ("AQX", "LX-AAC.2"))]
+
+
+def test_delivery_parts_undated_lines_of_one_tail():
+    lines = [line(FIRST, delivered=date(2015, 1, 1)), line(FIRST, msn="49999", delivered=DAY)]
+
+    assert [t.since for t in find_airframes(lines).tenures(FIRST)] == [date.min, DAY]
+
+
+def test_lease_keeps_flights_of_one_tail_apart():
+    assert find_airframes([line(FIRST), line(LEASED)]).tenures(LEASED)[0].prefix == "BZR."
+
+
+def test_ordinary_line_changes_no_name():
+    assert find_airframes([line(FIRST), line(LATER, msn="40003")]).tenures(FIRST) == []
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [line(FIRST, until=DAY), line(LATER, since=DAY)],
+        [line(FIRST), line(FIRST, msn="49999")],
+        [line(FIRST, until=DAY), line(FIRST, msn="49999", since=DAY)],
+    ],
+    ids=["one msn, two names", "undated lines of one tail", "one tail, two msn"],
+)
+def test_contradicting_lines_count_without_msn(lines):
+    found = find_airframes(lines)
+
+    assert len(found.contradictions) == 1
+    assert found.keys == [own.folder for own in lines]
+
+
+@pytest.mark.parametrize(
+    ("later_from", "apart"), [(100, False), (98, False), (40, True)], ids=["in turn", "misdated", "at the same time"]
+)
+def test_flights_show_that_one_msn_is_two_airframes(later_from, apart):
+    days = {
+        FIRST: [DAY + timedelta(days=k) for k in range(100)],
+        LATER: [DAY + timedelta(days=k) for k in range(later_from, later_from + 60)],
+    }
+
+    assert overlapping_folders([line(FIRST), line(LATER)], days) == ({FIRST, LATER} if apart else set())
