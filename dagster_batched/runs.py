@@ -1,5 +1,6 @@
 """Open an instance with a batched event log, execute runs here or on other machines, report what they have made."""
 
+import math
 import os
 import sys
 import uuid
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import dagster as dg
+import yaml
 from dagster._core.code_pointer import ModuleCodePointer
 from dagster._core.definitions.job_base import InMemoryJob
 from dagster._core.definitions.partitions.subset import DefaultPartitionsSubset
@@ -48,7 +50,7 @@ event_log_storage:
   module: dagster_batched.event_log
   class: BatchedSqliteEventLogStorage
   config:
-    base_dir: {base}/history
+    base_dir: {history}
 """
 
 
@@ -71,11 +73,15 @@ def open_instance(base: Path, mark: str, note: str) -> dg.DagsterInstance:
     skip_input_versions()
     make_keys_quickly()
     base.mkdir(parents=True, exist_ok=True)
-    settings, ours = base / "dagster.yaml", _SETTINGS.format(base=base, mark=mark, note=note)
+    history = yaml.safe_dump(f"{base}/history", default_style='"', width=math.inf).rstrip()
+    settings, ours = base / "dagster.yaml", _SETTINGS.format(history=history, mark=mark, note=note)
     written = settings.read_text() if settings.exists() else ""
     if written != ours and (written.startswith(mark) or not written):  # a kill of an older version left it empty
         _replace_text(settings, ours)
-    return dg.DagsterInstance.from_config(str(base))
+    instance = dg.DagsterInstance.from_config(str(base))
+    if instance.telemetry_enabled and settings.read_text() == ours:
+        raise ValueError(f"Dagster did not read {settings}")
+    return instance
 
 
 def _replace_text(path: Path, text: str) -> None:

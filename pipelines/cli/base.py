@@ -89,7 +89,11 @@ def landing_folder(path: Path | None) -> Path:
 
 def home_folder(path: Path | None, *, must_exist: bool = True) -> Path:
     """Return the home; stop with a line on what is wrong with it."""
+    from pipelines.orchestration.around_night import find_home_fault
+
     home = _required(path, "--home", "HDT_HOME")
+    if fault := find_home_fault(home):
+        raise StopError(fault)
     if home.exists() and not home.is_dir():
         raise StopError(f"{home} is a file; give --home a folder")
     if must_exist and not (home / "catalog.duckdb").exists():

@@ -1,7 +1,9 @@
 """Before a night, check its landing zone and lock its home; after it, call hooks of packages and send digests."""
 
 import fcntl
+import glob
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from importlib.metadata import entry_points
@@ -36,6 +38,20 @@ def find_landing_fault(landing: Path) -> str | None:
     if not any(landing.iterdir()):
         return f"{landing} is empty; mount the landing zone there, or give --landing the folder that holds fleet.csv"
     return f"no fleet.csv in {landing}; give --landing the folder that holds it and one folder per operator"
+
+
+def find_home_fault(home: Path) -> str | None:
+    """Explain why a folder can't be a home, and the remedy; None where it may be one."""
+    path = str(home.resolve())
+    if glob.has_magic(path):  # DuckDB's read_parquet and Dagster's settings would take it for a pattern
+        return f"a home's path has none of * ? [, and {path!r} has; give --home another folder"
+    if re.search(r"\\|%[0-9A-Fa-f]{2}", path):  # deltalake would decode it, as of an address
+        return f"a home's path has no backslash and no %XX, and {path!r} has; rename the folder"
+    if not path.isprintable():
+        return (
+            f"a home's path has no control characters or bytes that are no UTF-8, and {path!r} has; rename the folder"
+        )
+    return None
 
 
 @contextmanager

@@ -160,7 +160,9 @@ class Deltas:
         if not sources:
             return None
         options = self.place.options or None
-        return pl.scan_parquet(sources, missing_columns="insert", extra_columns="ignore", storage_options=options)
+        return pl.scan_parquet(
+            sources, missing_columns="insert", extra_columns="ignore", storage_options=options, glob=False
+        )
 
     def change(self, table: str, change: Change) -> Version | None:
         """Write shards of a table in one commit, all or none; the version that holds them."""

@@ -250,7 +250,7 @@ def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, n
     files_of = {table: ", ".join(map(quote, tables[table][1])) for table in sorted(changed)}
     for table, files in files_of.items():
         places = f"list_transform([{files}], lambda file: tables.folder() || file)"
-        select = f"select * from read_parquet({places}, union_by_name = true)"
+        select = f"select * from read_parquet({places}, union_by_name = true, hive_partitioning = false)"
         con.execute(f"create or replace view tables.{table} as {with_present_names(select, table, names)}")
         add_meanings(con, table)
     return changed
