@@ -1,6 +1,7 @@
 """Read the receivers of the digest that `notify.toml` in the home declares."""
 
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -114,7 +115,10 @@ def _value(entry: dict[str, Any], key: str, default: Any, where: str) -> Any:
         return default
     value, kind = entry[key], str if default is NO_DEFAULT else type(default)
     if not isinstance(value, kind) or isinstance(value, bool) or (kind is str and not value.isprintable()):
-        raise NotifyError(f"{where}: {key} is {value!r} and ought to be {_TYPES[kind]}")
+        shown = "" if key.startswith("url") else f" is {value!r} and"  # an address may hold a secret
+        raise NotifyError(f"{where}: {key}{shown} ought to be {_TYPES[kind]}")
+    if key.endswith("_env") and value and not re.fullmatch(r"[A-Za-z_]\w*", value, re.ASCII):
+        raise NotifyError(f"{where}: {key} ought to be the name of a variable of the environment")
     return value
 
 
@@ -143,10 +147,15 @@ def _check_mail(settings: dict[str, Any], where: str) -> None:
 
 def check_url(url: str, where: str) -> str:
     """Return `url` if a digest may go there. It may hold a secret, so an error does not quote it."""
+    if not re.fullmatch(r"[!-~]+", url):
+        raise NotifyError(f"{where}: the url has a blank or another character that has to be written as %XX")
     try:
         parts = urlsplit(url)
+        parts.port  # noqa: B018  # raises where it is no port
     except ValueError:  # its message would quote the address
         raise NotifyError(f"{where}: the url is invalid") from None
+    if "@" in parts.netloc:
+        raise NotifyError(f"{where}: the url has a user before its host, which no webhook is sent")
     if parts.scheme == "https" and parts.hostname:
         return url
     if parts.scheme == "http" and parts.hostname in _LOOPBACK:

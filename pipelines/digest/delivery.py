@@ -14,6 +14,7 @@ import urllib.request
 from collections.abc import Callable
 from email.message import EmailMessage
 from email.utils import formatdate
+from http.client import HTTPException
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ def send(receiver: Receiver, digest: Digest, name: str, home: Path) -> None:
     else:
         url = receiver.settings["url"] or check_url(receiver.secret("url_env"), receiver.settings["url_env"])
         body = json.dumps(as_webhook(digest)).encode()
-        _attempt(lambda: _post(url, body, name), url)
+        _attempt(lambda: _post(url, body, name))
 
 
 def _attempt(send_once: Callable[[], None], *secrets: str) -> None:
@@ -63,7 +64,7 @@ def _attempt(send_once: Callable[[], None], *secrets: str) -> None:
     for wait in (*WAITS_S, None):
         try:
             return send_once()
-        except (OSError, ValueError) as error:  # smtplib's and urllib's are kinds of OSError
+        except (OSError, ValueError, HTTPException) as error:  # smtplib's and urllib's are kinds of OSError
             if wait is None or not _is_transient(error):
                 raise NotifyError(_error_line(error, secrets)) from None
             time.sleep(wait)
@@ -82,6 +83,14 @@ def _is_transient(error: Exception) -> bool:
 
 
 def _error_line(error: Exception, secrets: tuple[str, ...]) -> str:
+    """Describe an error in one line; of an address in words of our own, since a library would quote parts of it."""
+    if isinstance(error, urllib.error.HTTPError):
+        error.close()
+        return f"the address answered with HTTP status {error.code}"
+    if isinstance(error, urllib.error.URLError):
+        return f"the address could not be reached ({type(error.reason).__name__})"
+    if isinstance(error, HTTPException):
+        return f"the address did not answer in HTTP ({type(error).__name__})"
     line = " ".join(str(error).split())[:200] or type(error).__name__
     for secret in filter(None, secrets):
         line = line.replace(secret, "***")
@@ -187,7 +196,8 @@ def _deliver(home: Path, receiver: Receiver, now: State, night: str, record: dic
         try:
             send(receiver, digest, hash_text(receiver.name, as_json(digest)), home)
         except Exception as error:  # no receiver may end a night, whatever its library raises
-            return f"{receiver.name} got no digest; the next night tries again: {error}"
+            reason = error if isinstance(error, NotifyError) else type(error).__name__
+            return f"{receiver.name} got no digest; the next night tries again: {reason}"
         entry = {"told": _write_state(home, now)}
     record[receiver.name] = entry | {"night": night}
     _write_json(home / _FOLDER / _RECORD, record)

@@ -11,8 +11,10 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from email import message_from_bytes, policy
+from http.client import HTTPException
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import Mock
 
 import pytest
 from aiosmtpd.controller import Controller
@@ -236,6 +238,49 @@ def test_a_wrong_declaration_is_told_with_file_and_key(tmp_path, receiver, messa
         receivers_of(tmp_path)
     assert str(error.value).startswith(str(tmp_path / "notify.toml"))
     assert "hooks.example" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "https://user:S3CRET@hooks.example/x",
+        "https://hooks.example:S3CRET/x",
+        "https://hooks.example/S3CRET x",
+        "https://hooks.example/S3CRET\x07",
+        "https://hooks.example/S3CRET\u00e9",
+        "https://[S3CRET/x",
+        "ftp://hooks.example/S3CRET",
+        ["https://hooks.example/S3CRET"],
+    ],
+)
+@pytest.mark.parametrize("key", ["url", "url_env"])
+def test_refused_address_is_not_shown(tmp_path, key, url):
+    declare(tmp_path, {"name": "w", "kind": "webhook", key: url})
+
+    with pytest.raises(NotifyError) as error:
+        receivers_of(tmp_path)
+
+    assert "S3CRET" not in str(error.value)
+
+
+@pytest.mark.parametrize("variable", ["https://user:S3CRET@hooks.example/x", "https://hooks.example/S3CRET x"])
+def test_refused_address_of_variable_is_not_shown(home, monkeypatch, variable):
+    monkeypatch.setenv("HDT_HOOK", variable)
+    declare(home, {"name": "w", "kind": "webhook", "url_env": "HDT_HOOK"})
+
+    (line,) = send_digests(home)
+
+    assert "S3CRET" not in line
+
+
+def test_error_of_address_is_not_quoted(home, monkeypatch):
+    declare(home, {"name": "w", "kind": "webhook", "url": "https://hooks.example/S3CRET"})
+    fault = HTTPException("nonnumeric port: 'S3CRET'")
+    monkeypatch.setattr(delivery, "_post", Mock(side_effect=fault))
+
+    (line,) = send_digests(home)
+
+    assert "S3CRET" not in line
 
 
 def test_every_key_is_documented():
