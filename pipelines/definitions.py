@@ -12,10 +12,11 @@ from typing import Any
 import dagster as dg
 
 from dagster_batched.runs import batch_events
+from hdt_core.loading import UserError
 from pipelines.assets import asset_definitions
 from pipelines.assets.stage import SENSORS
 from pipelines.intake.landing import list_new_files
-from pipelines.orchestration.around_night import find_landing_fault, lock_home
+from pipelines.orchestration.around_night import find_home_fault, find_landing_fault, lock_home
 from pipelines.orchestration.nightly import complete_night
 from pipelines.resources import Home
 from pipelines.storage.files import narrow_umask
@@ -97,12 +98,12 @@ def build_defs(*, landing: str | Path, home: str | Path, **overrides: Any) -> dg
 
 def from_environment() -> dg.Definitions:
     """Build the definitions for `dagster dev`: folders from HDT_LANDING and HDT_HOME, else those of `make run`."""
+    home = Path(os.environ.get("HDT_HOME", "hdt_home")).resolve()
+    if fault := find_home_fault(home):
+        raise UserError(fault)
     batch_events()
     narrow_umask()
-    return build_defs(
-        landing=Path(os.environ.get("HDT_LANDING", "data_samples")).resolve(),
-        home=Path(os.environ.get("HDT_HOME", "hdt_home")).resolve(),
-    )
+    return build_defs(landing=Path(os.environ.get("HDT_LANDING", "data_samples")).resolve(), home=home)
 
 
 defs = from_environment()

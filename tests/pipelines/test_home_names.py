@@ -7,6 +7,8 @@ import pytest
 from command import hdt
 from nights import empty_home
 
+from hdt_core.loading import UserError
+from pipelines.definitions import from_environment
 from pipelines.orchestration.runs import open_instance
 from pipelines.storage.catalog import connect
 from pipelines.storage.publication import publish
@@ -69,3 +71,11 @@ def test_home_is_refused_in_one_line(tmp_path, name):
     assert night.returncode == 2
     assert len(night.stderr.splitlines()) == 1
     assert not home.parent.exists()
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_page_of_dagster_refuses_home(tmp_path, monkeypatch, name):
+    monkeypatch.setenv("HDT_HOME", str(tmp_path / name))
+
+    with pytest.raises(UserError, match="a home's path has"):
+        from_environment()
