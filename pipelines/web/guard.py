@@ -17,6 +17,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pipelines.web.sign_in import SignIn
+from pipelines.web.timed_requests import TimedRequests
 
 LOCAL = frozenset({"127.0.0.1", "localhost", "[::1]"})
 METHODS = ("GET", "HEAD", "POST")
@@ -54,7 +55,7 @@ class Guard:
 
     def serve(self, sock: socket.socket) -> None:
         """Serve the page until the process is stopped."""
-        config = uvicorn.Config(self, log_level="warning", server_header=False, proxy_headers=False)
+        config = uvicorn.Config(self, http=TimedRequests, log_level="warning", server_header=False, proxy_headers=False)
         uvicorn.Server(config).run(sockets=[sock])
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
