@@ -1,12 +1,23 @@
 """The `hdt` command, a module for each group of its users."""
 
+import errno
 import logging
+import os
 import sqlite3
 import sys
 
 from hdt_core.loading import UserError, load_entry_points
 from pipelines.cli import cases, look, make, night, serve, share
-from pipelines.cli.base import StopError, StoppedError, UsageError, app, out, print_error, stop_in_order
+from pipelines.cli.base import (
+    StopError,
+    StoppedError,
+    UsageError,
+    app,
+    escape_unencodable_output,
+    out,
+    print_error,
+    stop_in_order,
+)
 
 __all__ = ["app", "cases", "look", "main", "make", "night", "serve", "share"]
 
@@ -15,6 +26,7 @@ def main() -> None:
     """Run the command; print an error that a user can correct as one line."""
     code = 2
     logging.captureWarnings(True)  # warnings of libraries do not concern the reader of the terminal
+    escape_unencodable_output()
     _load_schemas()
     try:
         load_extensions()
@@ -59,6 +71,8 @@ def _storage_error(error: Exception) -> str:
     """Return the message for an old catalog, a damaged SQLite file, a full or read-only disk; raise any other error."""
     import duckdb
 
+    if isinstance(error, duckdb.Error) and any(reason in str(error) for reason in _FILE_ERRORS):
+        return f"{str(error).splitlines()[0]}; free space or grant write access"
     if isinstance(error, duckdb.CatalogException | duckdb.BinderException):
         return "an earlier version wrote the catalog; `hdt nightly` writes it again"
     cause = getattr(error, "orig", error)
@@ -70,6 +84,7 @@ def _storage_error(error: Exception) -> str:
     return _postgres_error(error)
 
 
+_FILE_ERRORS = [os.strerror(n) for n in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES)]
 _DAMAGED = ("malformed", "not a database", "no such table", "no such column")
 
 

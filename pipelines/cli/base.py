@@ -4,10 +4,14 @@ Heavy imports wait until a command needs them, so that `--help` and an idle nigh
 """
 
 import atexit
+import codecs
 import importlib.metadata
+import io
+import json
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -66,6 +70,26 @@ Language = Annotated[str | None, typer.Option(envvar="HDT_LANGUAGE", help="Langu
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
 UsageError: Any = typer.BadParameter.__base__  # of the click inside typer
+
+
+def escape_unencodable_output() -> None:
+    """Print what a terminal's encoding lacks as JSON escapes it, and lines of tables as `+`, `-` and `|`."""
+    codecs.register_error("hdt.escape", _escape)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="hdt.escape")
+
+
+def _escape(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(map(_in_ascii, error.object[error.start : error.end])), error.end
+
+
+def _in_ascii(character: str) -> str:
+    if "\u2500" <= character <= "\u257f":
+        return {"\u2500": "-", "\u2502": "|"}.get(character, "+")
+    return json.dumps(character).strip('"')
 
 
 class StopError(UserError):
