@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hdt_core.components import recorded_components
-from hdt_core.loading import parse_toml
+from hdt_core.loading import parse_toml, read_text
 from pipelines.intake.columns import SIGNAL_COLUMNS
 from pipelines.intake.landing_file import MAX_PACKS
 
@@ -126,7 +126,7 @@ def read_type(file: Path, map_folder: Path | None = None) -> AircraftType:
         Names file, line and key.
     """
     try:
-        text = file.read_text("utf-8")
+        text = read_text(file)
         entries = parse_toml(text)
     except (OSError, UnicodeDecodeError) as error:
         raise AircraftTypeError(f"{file.name}: {getattr(error, 'strerror', None) or 'no text in UTF-8'}") from None

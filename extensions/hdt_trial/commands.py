@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from hdt_core.loading import read_text
 from pipelines.cli.base import AsJson, HomeDir, StopError, app, err, home_folder, out
 
 trial = typer.Typer(no_args_is_help=True, help="Record each night tamper-evidently and evaluate it.")
@@ -33,7 +34,7 @@ def start_trial(
         out.print(DEFAULT, markup=False, soft_wrap=True, end="")
         return
     with _one_writer(home) as where:
-        entry = start(where, declaration.read_text("utf-8") if declaration else DEFAULT)
+        entry = start(where, read_text(declaration) if declaration else DEFAULT)
     out.print(f"Trial started. Store this digest outside your organisation: {entry.digest}", soft_wrap=True)
 
 

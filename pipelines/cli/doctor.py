@@ -156,7 +156,7 @@ def _home(home: Path) -> Iterator[Check]:
     yield _check_read("costs", _costs, home)
     yield _check_read("work", _tasks, home)
     yield from _stored(home)
-    if notify_file(home).exists():
+    if os.path.lexists(notify_file(home)):
         yield _check_read("receivers", _receivers, home)
     if (home / CATALOG).exists():
         catalog = _catalog(home)

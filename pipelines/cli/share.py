@@ -10,6 +10,7 @@ import typer
 from pipelines.cli.base import AsJson, HomeDir, StopError, app, home_folder, out, print_error
 
 KEY = "HDT_EXPORT_KEY"
+_MAX_KEY_BYTES = 10_000
 
 
 class Format(StrEnum):
@@ -54,10 +55,18 @@ def export(
 
 def _key(file: Path | None) -> bytes:
     """Read the key, which no message ever shows."""
-    key = file.read_bytes().strip() if file else os.environ.get(KEY, "").strip().encode()
+    key = _read_key(file) if file else os.environ.get(KEY, "").strip().encode()
     if not key:
         raise StopError(f"pseudonyms need a key: name a file with --key-file or set {KEY}")
     return key
+
+
+def _read_key(file: Path) -> bytes:
+    with file.open("rb") as source:  # which may be a pipe from a store of passwords
+        key = source.read(_MAX_KEY_BYTES + 1)
+    if len(key) > _MAX_KEY_BYTES:
+        raise StopError(f"{file} holds no key: it has more than {_MAX_KEY_BYTES} bytes")
+    return key.strip()
 
 
 OperatorOnly = Annotated[str | None, typer.Option("--operator", help="Only this operator, as its folder is called.")]

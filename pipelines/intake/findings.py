@@ -13,7 +13,7 @@ import polars as pl
 
 from hdt_core.alerts.succession import KINDS_OF_NIGHT
 from hdt_core.components import components
-from hdt_core.loading import parse_toml
+from hdt_core.loading import parse_toml, read_text
 from hdt_core.records.keys import PACK
 from hdt_core.tables import TABLES
 from hdt_core.tables.raw import CLOSES
@@ -106,12 +106,13 @@ def read_costs(home: Path) -> pl.DataFrame:
     CostError
         The file is no TOML, or holds an unknown key or an invalid value.
     """
-    file, declared_costs = home / NAME, dict[str, Any]()
-    if file.exists():
-        try:
-            declared_costs = parse_toml(file.read_text(encoding="utf-8"))
-        except (ValueError, OSError) as error:
-            raise CostError("", f"can't be read: {error}") from None
+    declared_costs = dict[str, Any]()
+    try:
+        declared_costs = parse_toml(read_text(home / NAME))
+    except FileNotFoundError:
+        pass
+    except (ValueError, OSError) as error:
+        raise CostError("", f"can't be read: {error}") from None
     own = list(_rows(declared_costs, {}, NAME))  # validated before anything is read from it
     rows = [*own, *_rows(DEFAULTS, declared_costs, "default")]
     general = {k: declared_costs.get(k, DEFAULTS[k]) for k in ("currency", "horizon_days")}
@@ -135,7 +136,7 @@ def _rows(
             if item not in ITEMS:
                 raise CostError(f"{component}.{item}", f"means nothing; there are {', '.join(ITEMS)}")
             if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0 <= cost <= MAX_COST:
-                raise CostError(f"{component}.{item}", f"is a number from 0 to {MAX_COST:.0e}, not {cost!r}")
+                raise CostError(f"{component}.{item}", f"is a number from 0 to {MAX_COST:.0e}, not {cost!r:.40}")
             if item not in override.get(component, {}):
                 yield component, item, float(cost), source
 
@@ -143,9 +144,9 @@ def _rows(
 def _check_general(general: Mapping[str, Any]) -> None:
     days, currency = general["horizon_days"], general["currency"]
     if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= 366:
-        raise CostError("horizon_days", f"is a whole number of days from 1 to 366, not {days!r}")
+        raise CostError("horizon_days", f"is a whole number of days from 1 to 366, not {days!r:.40}")
     if not isinstance(currency, str) or not 1 <= len(currency) <= 8 or not currency.isprintable():
-        raise CostError("currency", f"is a word of up to 8 letters, not {currency!r}")
+        raise CostError("currency", f"is a word of up to 8 letters, not {currency!r:.40}")
 
 
 def costs_or_fault(home: Path) -> tuple[pl.DataFrame, list[Fault]]:

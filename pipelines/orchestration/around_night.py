@@ -114,7 +114,7 @@ def call_hooks(home: Path) -> tuple[dict[str, str | None], tuple[str, ...]]:
 
 def notify_receivers(home: Path) -> tuple[str, ...]:
     """Send the night's digests; return a line for each receiver that failed. A home without receivers costs nothing."""
-    if not notify_file(home).exists():
+    if not os.path.lexists(notify_file(home)):
         return ()
     from pipelines.digest.delivery import send_digests
 

@@ -12,6 +12,8 @@ from multiprocessing import forkserver, get_context, resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pipelines.storage.settings import dagster_settings
+
 if TYPE_CHECKING:  # Dagster takes seconds to load, and a night with nothing new needs none of it
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
 
@@ -27,8 +29,7 @@ def cores() -> int:
 
 def sends_out(home: Path) -> bool:
     """Check whether the home's `dagster.yaml` names a run launcher; read as text, for Dagster takes seconds to load."""
-    settings = home / "dagster" / "dagster.yaml"
-    return settings.exists() and any(line.startswith("run_launcher:") for line in settings.read_text().splitlines())
+    return any(line.startswith("run_launcher:") for line in dagster_settings(home).splitlines())
 
 
 class LocalExecutor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -23,7 +24,7 @@ from pipelines.storage.delta import DamageError
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import find_catalog_fault, publish
 from pipelines.storage.seal import copy_ledger
-from pipelines.storage.settings import HOME_SETTINGS, notify_file, retention
+from pipelines.storage.settings import HOME_SETTINGS, dagster_settings, notify_file, retention
 from pipelines.storage.store import Store
 from pipelines.versions import CELL, find_stale_cells, recipe_version, restrict_ledger
 
@@ -177,9 +178,10 @@ def run_night(
 def check_settings(home: Path) -> None:
     """Validate the home's settings before the night, so that an invalid file fails at once."""
     retention(home)
+    dagster_settings(home)
     for read_setting in HOME_SETTINGS.values():
         read_setting(home)
-    if notify_file(home).exists():
+    if os.path.lexists(notify_file(home)):
         from pipelines.digest.declaration import receivers_of
 
         receivers_of(home)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import dagster as dg
 import polars as pl
+import yaml
 
 from dagster_batched.event_log import CoalescingEventLog
 from dagster_batched.partitions import cached_ranges
@@ -35,7 +36,9 @@ from pipelines.assets import VIEWS
 from pipelines.orchestration.batches import BatchResult, PartitionBatch, PartitionIndex, by_aircraft, split_message
 from pipelines.resources import AIRCRAFT, FLIGHTS, NIGHT, aircraft_key, aircraft_of, flight_key, flight_of
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import publish
+from pipelines.storage.settings import dagster_settings
 
 # a line on the console for every event would cost more than storing it; the run's page has them all
 _QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
@@ -53,8 +56,21 @@ class EngineError(UserError):
 
 
 def open_instance(home: Path) -> dg.DagsterInstance:
-    """Open Dagster's own storage below `<home>/dagster`; a `dagster.yaml` of the user's is used as it is."""
-    return open_instance_in(home.resolve() / "dagster", _CONFIG_MARK, _CONFIG_NOTE)
+    """Open Dagster's own storage below `<home>/dagster`; a `dagster.yaml` of the user's is used as it is.
+
+    Raises
+    ------
+    StoreError
+        Dagster can't use that file; one line.
+    """
+    text = dagster_settings(home)
+    try:
+        if not isinstance(yaml.safe_load(text), dict | None):
+            raise yaml.YAMLError("it is no mapping")
+        return open_instance_in(home.resolve() / "dagster", _CONFIG_MARK, _CONFIG_NOTE)
+    except (yaml.YAMLError, dg.DagsterInvalidConfigError) as error:
+        reason = " ".join(str(error).split())[:300]
+        raise StoreError(f"{home / 'dagster/dagster.yaml'} can't be used: {reason}") from None
 
 
 def launched_by(run: dg.DagsterRun) -> dict[str, str]:

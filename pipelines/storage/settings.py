@@ -1,5 +1,6 @@
 """Read the settings of one fleet: small text files in its home."""
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from datetime import datetime
@@ -7,7 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hdt_core.loading import parse_toml
+from hdt_core.loading import parse_toml, read_text
 from pipelines.storage.files import replacing
 from pipelines.storage.objects import StoreError
 
@@ -26,14 +27,14 @@ def terms_file(home: Path) -> Path:
 def accepted_terms(home: Path) -> tuple[str, ...]:
     """Read the names of the accepted physical terms, sorted; none where there is no file."""
     file = terms_file(home)
-    if not file.exists():
+    try:
+        lines = read_text(file).splitlines()
+    except FileNotFoundError:
         return ()
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{file} can't be read: {error}") from None
     from hdt_core.physics.terms import TERMS
 
-    try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise StoreError(f"{file} can't be read: {error}") from None
     names = sorted({line.strip() for line in lines if line.strip() and not line.startswith("#")})
     if unknown := [name for name in names if name not in TERMS]:
         raise StoreError(f"{file} has no term a line: {unknown[0]!r:.40}; there are {', '.join(sorted(TERMS))}")
@@ -59,15 +60,26 @@ def accept_terms(home: Path, names: Iterable[str]) -> None:
 
 def read_values(file: Path, names: Iterable[str]) -> dict[str, Any]:
     """Return what a TOML file of the home sets of some names; nothing where there is no file."""
-    if not file.exists():
-        return {}
     try:
-        values = parse_toml(file.read_text(encoding="utf-8"))
+        values = parse_toml(read_text(file))
+    except FileNotFoundError:
+        return {}
     except (OSError, ValueError) as error:
         raise StoreError(f"{file} can't be read: {error}") from None
     if unknown := sorted(values.keys() - {*names}):
         raise StoreError(f"{file} has no setting {unknown[0]!r:.40}; there are {', '.join(names)}")
     return values
+
+
+def dagster_settings(home: Path) -> str:
+    """Return the text of the home's `dagster/dagster.yaml`; empty where there is none."""
+    file = home / "dagster" / "dagster.yaml"
+    try:
+        return read_text(file)
+    except FileNotFoundError:
+        return ""
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{file} can't be read: {error}") from None
 
 
 def alert_limits(home: Path) -> "Limits":
@@ -103,7 +115,7 @@ def _fault_of_limit(name: str, value: Any) -> str | None:
 
 def changed_limits(home: Path) -> tuple[str, ...]:
     """Return the limits that the home sets other than the defaults, as `name = value`."""
-    if not (home / "alerts.toml").exists():
+    if not os.path.lexists(home / "alerts.toml"):
         return ()
     limits = alert_limits(home)
     values = ((f, getattr(limits, f.name)) for f in fields(limits))

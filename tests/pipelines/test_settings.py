@@ -3,14 +3,19 @@
 import os
 import re
 import stat
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+from command import hdt
 from typer.testing import CliRunner
 
 from hdt_core.alerts.cases import Limits
 from pipelines.cli import app, main
 from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.intake.findings import CostError, read_costs
+from pipelines.orchestration.runs import open_instance
+from pipelines.report.tasks import read_tasks
 from pipelines.storage.files import make_private, narrow_umask
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
@@ -24,6 +29,7 @@ from pipelines.storage.settings import (
     terms_file,
 )
 from pipelines.versions import baseline_inputs
+from pipelines.web.sign_in import read_people
 
 DEEP = f"x = {'[' * 20_000}{']' * 20_000}"
 ABSURD = ("99999999999", "9" * 5_000, "-1", "0", "nan", "inf", "1e400", "1.5", "true", "'x'", "[]", "{}", "2024-03-01")
@@ -150,3 +156,83 @@ def test_the_command_accepts_and_drops(tmp_path):
     assert run.invoke(app, ["terms", "--home", str(tmp_path), "--drop", "water_spray"]).exit_code == 0
     assert accepted_terms(tmp_path) == ()
     assert run.invoke(app, ["terms", "--home", str(tmp_path), "--accept", "unheard_of"]).exit_code != 0
+
+
+def _many_dots(file: Path) -> None:
+    file.write_text(f"{'.'.join('a' * 50_000)} = 1")
+
+
+def _without_end(file: Path) -> None:
+    with file.open("wb") as sink:
+        sink.truncate(100_000_000_000)
+
+
+def _link(target: str) -> Callable[[Path], None]:
+    return lambda file: file.symlink_to(target)
+
+
+def _text(text: str) -> Callable[[Path], None]:
+    return lambda file: file.write_text(text) and None
+
+
+ENDLESS: dict[str, Callable[[Path], None]] = {
+    "pipe": os.mkfifo, "folder": os.mkdir, "huge": _without_end, "dots": _many_dots, "device": _link("/dev/zero"),
+    "loop": _link("../home/loop"), "nowhere": _link("nowhere"),
+}  # fmt: skip
+UNSHOWN: dict[str, Callable[[Path], None]] = {
+    "long number": _text(f"keep_days = 0x{'f' * 5_000}\nHX.wash = 0x{'f' * 5_000}\n"),
+    "deep key": _text(f"keep_days{'.a' * 900} = 1\n"),
+    "key of two lines": _text('"a\\nb" = 1\n'),
+}
+READERS = {
+    "retention.toml": retention, "notify.toml": receivers_of, "costs.toml": read_costs, "alerts.toml": alert_limits,
+    "terms.txt": accepted_terms, "roles.toml": read_people, "tasks.toml": read_tasks,
+    "dagster/dagster.yaml": open_instance,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("make", ENDLESS.values(), ids=ENDLESS)
+@pytest.mark.parametrize(("name", "read"), READERS.items())
+def test_endless_file_is_refused(tmp_path, name, read, make):
+    file = tmp_path / "home" / name
+    file.parent.mkdir(parents=True)
+    make(file)
+
+    with pytest.raises((CostError, NotifyError, StoreError)) as fault:
+        read(tmp_path / "home")
+
+    assert str(fault.value).isprintable()
+
+
+@pytest.mark.parametrize("make", UNSHOWN.values(), ids=UNSHOWN)
+@pytest.mark.parametrize(("name", "read"), [item for item in READERS.items() if item[0].endswith(".toml")])
+def test_fault_is_shown_in_one_line(tmp_path, name, read, make):
+    make(tmp_path / name)
+
+    with pytest.raises((CostError, NotifyError, StoreError)) as fault:
+        read(tmp_path)
+
+    assert str(fault.value).isprintable()
+    assert len(str(fault.value)) < 500
+
+
+@pytest.mark.parametrize("text", ["run_launcher: [\n", "- 1\n", "no_such_setting: 1\n"])
+def test_wrong_settings_of_dagster_are_named(tmp_path, text):
+    file = tmp_path / "dagster/dagster.yaml"
+    file.parent.mkdir()
+    file.write_text(text)
+
+    with pytest.raises(StoreError, match=re.escape(str(file))) as fault:
+        open_instance(tmp_path)
+
+    assert str(fault.value).isprintable()
+
+
+def test_settings_of_dagster_are_read_before_night(sample_landing, tmp_path):
+    (tmp_path / "dagster").mkdir()
+    os.mkfifo(tmp_path / "dagster/dagster.yaml")
+
+    night = hdt("nightly", "--landing", sample_landing, "--home", tmp_path)
+
+    assert night.returncode == 2
+    assert len(night.stderr.strip().splitlines()) == 1
