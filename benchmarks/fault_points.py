@@ -22,9 +22,9 @@ from pipelines.storage.store import Store
 
 POINTS = (
     "before_write", "before_rename", "after_rename", "before_commit", "after_commit", "before_register",
-    "after_register", "before_mark", "after_mark",
+    "after_register", "before_mark", "after_mark", "before_publish",
 )  # fmt: skip
-"""In `files.replacing`, which writes every file, in a table's commit, and in the two writers of the ledger."""
+"""In `files.replacing`, which writes every file, in a table's commit, in two writers of the ledger, and at the end."""
 OF_OBJECTS = ("before_write", "before_commit", "after_commit")
 """Where a shard becomes an object and a commit names it, in an object store."""
 _ENDS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}

@@ -56,16 +56,26 @@ def _repair_tables(landing: Path, store: Store, ledger: Ledger) -> list[str]:
 
 def _damaged_since(store: Store, last_seal: seal.Seal, ledger: Ledger) -> list[str]:
     """Find sealed files that changed: by size and time; this night's turn by content, all in a suspect home."""
-    to_read = seal.files_to_read(last_seal.files, ledger.nights().height)
+    to_read, logs = seal.files_to_read(last_seal.files, ledger.nights().height), list[str]()
     if store.place.suspect:
+        logs = [f"{table}/{LOG}" for table in TABLES if not _has_readable_log(store, table)]
         to_read = set(last_seal.files)
         for hint in Path(store.place.url).glob(f"*/{LOG}/{seal.HINT}"):
             hint.unlink()  # it is not sealed, and a wrong one keeps a log from being read
     others = (path for path in last_seal.files if path not in to_read)
     return [
+        *logs,
         *seal.changed_files(store, last_seal, others),
         *seal.changed_files(store, last_seal, sorted(to_read), whole=True),
     ]
+
+
+def _has_readable_log(store: Store, table: str) -> bool:
+    try:
+        store.tables.shards(table)
+    except DamageError:
+        return False
+    return True
 
 
 def _damaged_without_seal(store: Store, ledger: Ledger) -> list[str]:
@@ -80,11 +90,12 @@ def _damaged_without_seal(store: Store, ledger: Ledger) -> list[str]:
 def _damaged_of_table(store: Store, table: str, newest: int) -> list[str]:
     try:
         log = store.tables.open(table)
+        files = shards_of(log).values() if log is not None else ()
     except DamageError:
         return [f"{table}/{LOG}"]
     if log is None or log.version() < newest:
         return [f"{table}/{LOG}"] if newest >= 0 else []
-    return seal.changed_files(store, None, [f"{table}/{file}" for file in shards_of(log).values()], whole=True)
+    return seal.changed_files(store, None, [f"{table}/{file}" for file in files], whole=True)
 
 
 def _repair_table(

@@ -127,18 +127,3 @@ TABLES: dict[str, StoredTable] = {
     "residuals_components": StoredTable(twin.ResidualsComponents, "aircraft", (*_COMPONENT, "signal", "kind")),
     "features_components": StoredTable(twin.FeaturesComponents, "aircraft", _COMPONENT),
 }
-
-# views of the catalog's schema `tables` for queries written before these tables had their names
-FORMER_NAMES = {
-    "legs_signs": "legs_indicators",
-    "calibration_laws": "calibration_schedules",
-    "twin_chapters": "twin_checkpoints",
-    "features_witnesses": "features_cross_checks",
-}
-# the same, where declared components had tables of their own
-FORMER_COMPONENT_TABLES = {
-    "twin_components": "twin_health",
-    "features_component_alerts": "features_alerts",
-    "prognoses_components": "prognoses",
-    "prognoses_components_lives": "prognosis_lives",
-}

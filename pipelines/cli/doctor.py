@@ -4,6 +4,7 @@ import importlib.metadata
 import os
 import platform
 import shutil
+import sqlite3
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -29,9 +30,10 @@ from pipelines.report.tasks import NAME as NAME_OF_TASKS
 from pipelines.report.tasks import read_tasks
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect
+from pipelines.storage.database import DatabaseError
 from pipelines.storage.ledger import FILE, Ledger
 from pipelines.storage.objects import StoreError
-from pipelines.storage.publication import views
+from pipelines.storage.publication import find_staleness, views
 from pipelines.storage.seal import CYCLE, NAME, changed_files, find_ledger_fault, name_files, read_seal
 from pipelines.storage.settings import notify_file
 from pipelines.storage.store import Store
@@ -242,8 +244,11 @@ def _catalog(home: Path) -> Check:
     try:
         with connect(home) as con:
             present = con.execute("select view_name from duckdb_views() where not internal").fetchall()
-    except StoreError as error:
+        stale = find_staleness(home)
+    except (StoreError, DatabaseError, sqlite3.Error) as error:
         return Check("catalog", False, str(error))
+    if stale:
+        return Check("catalog", False, f"{stale}; {_NIGHT} publishes it again")
     missing = sorted(set(views()) - {name for (name,) in present})
     return Check("catalog", not missing, f"lacks {', '.join(missing)}" if missing else f"all {len(views())} views")
 

@@ -147,7 +147,7 @@ def changes_since(home: Path, night: str | None = None) -> Digest:
     """
     with connect(home) as con:
         now = read_state(con, read_tasks(home))
-    nights = sorted(Ledger(home, read_only=True).snapshots())
+    nights = list(Ledger(home, read_only=True).snapshots())
     if night is None and len(nights) < 2:
         return compare(EMPTY, now)
     with connect_as_of(home, night or nights[-2]) as con:

@@ -157,7 +157,7 @@ def send_digests(home: Path) -> list[str]:
     """
     try:
         receivers = receivers_of(home)
-        night = max(Ledger(home, read_only=True).snapshots(), default="") if receivers else ""
+        night = Ledger(home, read_only=True).last_night() if receivers else ""
         record: dict[str, Any] = _read_json(home / _FOLDER / _RECORD)
         waiting = [r for r in receivers if record.get(r.name, {}).get("night") != night]
         if not waiting or not night:

@@ -3,6 +3,7 @@
 import atexit
 import re
 import shutil
+import sqlite3
 import tempfile
 import threading
 import time
@@ -13,6 +14,8 @@ from typing import Any, Self, cast
 import duckdb
 
 from hdt_core.tables import TABLES
+from pipelines.storage.database import DatabaseError
+from pipelines.storage.ledger import Ledger, night_number
 from pipelines.storage.objects import StoreError, message_of
 from pipelines.storage.store import URL, Store
 
@@ -59,6 +62,7 @@ def connect(home: Path, *, as_delivered: bool = False) -> duckdb.DuckDBPyConnect
 
 def _open_locked(home: Path) -> duckdb.DuckDBPyConnection:
     """Connect to the catalog with access to the tables' place alone."""
+    version = _version_or_none(home)
     try:
         con = open_catalog(home)
         ((is_restricted, published_folder),) = con.execute(
@@ -69,9 +73,32 @@ def _open_locked(home: Path) -> duckdb.DuckDBPyConnection:
         raise StoreError(
             f"the catalog in {home} can't be read ({message_of(error)}); `hdt nightly` makes it anew"
         ) from None
+    if not _is_of_last_night(con, home):
+        con.close()
+        if _version_or_none(home) != version:  # published meanwhile
+            return _open_locked(home)
+        raise StoreError(f"the catalog in {home} is not that of the last night; `hdt nightly` publishes it again")
     folder = _allowed_folder(con) if is_restricted else restrict(con, Store(home.resolve()), published_folder)
     con.execute(f"set variable tables_folder = {quote(folder)}")  # each connection has variables of its own
     return con
+
+
+def _is_of_last_night(con: duckdb.DuckDBPyConnection, home: Path) -> bool:
+    """Return whether the catalog is that of the last night on record, or of one that is about to be recorded."""
+    try:
+        last = Ledger(home, read_only=True).last_night()
+    except (sqlite3.Error, DatabaseError):  # of which the doctor tells
+        return True
+    return not night_number(last) or last in nights_of(con)  # earlier versions have no numbers, and name none
+
+
+def nights_of(con: duckdb.DuckDBPyConnection) -> tuple[str, str]:
+    """Return the names of the night that made a catalog and of the one before; empty in those of earlier versions."""
+    try:
+        ((night, before),) = con.execute("select tables.made_by(), tables.made_after()").fetchall()
+    except duckdb.CatalogException:
+        return "", ""
+    return night, before
 
 
 class _VerifiedCatalog:
@@ -118,11 +145,16 @@ class _VerifiedCatalog:
         while more:
             names |= more
             more = set[str]().union(*(self._views[name] for name in more & self._views.keys())) - names
-        for table in sorted(names & TABLES.keys() - self._verified):
+        tables = TABLES.keys() if names & _ANY_FILE else names & TABLES.keys()
+        for table in sorted(tables - self._verified):
             query_files = "select path from tables.files where starts_with(path, $prefix)"
             for (path,) in self._con.execute(query_files, {"prefix": f"{table}/"}).fetchall():
                 self._tables.verify(path)
             self._verified.add(table)
+
+
+_ANY_FILE = {"query", "query_table", "glob", "parquet", "read_parquet", "parquet_scan"}
+"""Names with which a statement may read a table that it does not name."""
 
 
 def _names(sql: str) -> set[str]:

@@ -90,6 +90,10 @@ class DamageError(StoreError):
     """A file is not what was written."""
 
 
+class LogError(DamageError):
+    """A table's log names files that can't be those of one version."""
+
+
 @dataclass(frozen=True)
 class Deltas:
     """All tables of one place."""
@@ -106,6 +110,12 @@ class Deltas:
         except (DeltaError, OSError) as error:
             raise self._unreadable(table, error) from None
 
+    def _opened(self, table: str, log: DeltaTable | None, newest: Commit | None) -> _OpenTable:
+        try:
+            return _OpenTable.of(log, newest)
+        except LogError as error:
+            raise self._unreadable(table, error) from None
+
     def shards(self, table: str) -> dict[str, str]:
         """Map each shard to its file below the table's folder."""
         version = self.version(table)
@@ -114,15 +124,23 @@ class Deltas:
     def version(self, table: str, number: int | None = None) -> Version | None:
         """Return the table's newest or another version; None where there is none."""
         if number is not None:
-            return _OpenTable.of(self.open(table, number), None).version
+            return self._opened(table, self.open(table, number), None).version
         current = self._take(table)
         self._put_back(table, current)
         return current.version
 
+    def newest_version(self, table: str) -> int | None:
+        """Return the number of the table's newest version, of local files by their names; None where there is none."""
+        commit = self._newest_commit(table)
+        if commit is not None:
+            return int(commit[0].removesuffix(".json"))
+        version = self.version(table)
+        return version.number if version else None
+
     def _take(self, table: str) -> _OpenTable:
         """Take the current table out of the cache, for one writer alone: a commit advances it under its readers."""
         entry, newest = _open_tables(self.place.url).pop(table, None), self._newest_commit(table)
-        return entry if entry and entry.commit == newest else _OpenTable.of(self.open(table), newest)
+        return entry if entry and entry.commit == newest else self._opened(table, self.open(table), newest)
 
     def _newest_commit(self, table: str) -> Commit | None:
         """Find the newest commit of a table's log; None where there is none, or it would take as long as opening it."""
@@ -252,7 +270,7 @@ class Deltas:
             return None
         sys.audit("hdt.after_commit")
         self.place.sync_commit(table, 0)
-        return _OpenTable.of(self.open(table), self._newest_commit(table))
+        return self._opened(table, self.open(table), self._newest_commit(table))
 
     def _commit(self, table: str, log: DeltaTable, content: _CommitContent) -> _OpenTable | None:
         """Make one commit; None where another came first."""
@@ -270,7 +288,7 @@ class Deltas:
         sys.audit("hdt.after_commit")
         log.update_incremental()
         self.place.sync_commit(table, log.version())
-        return _OpenTable.of(log, self._newest_commit(table))
+        return self._opened(table, log, self._newest_commit(table))
 
 
 @dataclass(frozen=True)
@@ -295,9 +313,20 @@ class _ShardReader(StoredShards):
 
 
 def shards_of(table: DeltaTable) -> dict[str, str]:
-    """Map each shard of a table to its file, below the table's folder."""
-    paths = pl.DataFrame(table.get_add_actions(flatten=True))["path"].to_list()
-    return {match["shard"]: path for path in paths if (match := FILE_NAME.fullmatch(path))}
+    """Map each shard of a table to its file, below the table's folder.
+
+    Raises
+    ------
+    LogError
+        A shard has two files, or a file's name is none of ours: an action of the log is not what was written.
+    """
+    shards: dict[str, str] = {}
+    for path in pl.DataFrame(table.get_add_actions(flatten=True))["path"].to_list():
+        match = FILE_NAME.fullmatch(path)
+        if match is None or match["shard"] in shards:
+            raise LogError(f"it has {path} beside others" if match else f"it names {path}")
+        shards[match["shard"]] = path
+    return shards
 
 
 def _now_ms() -> int:

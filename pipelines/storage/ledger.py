@@ -293,17 +293,26 @@ class Ledger:
         """List all nights, oldest first, counts as text."""
         return self._frames([(f"select * from nights order by {'ctid' if self.url else 'rowid'}", [])])[0]
 
-    def note_snapshot(self, versions: dict[str, int]) -> None:
-        """Record the versions of the tables that are published now."""
-        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+    def next_night(self) -> str:
+        """Name a night to be published: the time, which may jump, and its place in the sequence of nights."""
+        return f"{datetime.now(UTC).isoformat(timespec='milliseconds')}#{night_number(self.last_night()) + 1}"
+
+    def last_night(self) -> str:
+        """Return the name of the last night that was published; empty where there is none."""
+        rows = self._query(lambda con: con.execute("select distinct night from night_versions").fetchall())
+        return max((night for (night,) in rows), key=_in_sequence, default="")
+
+    def note_snapshot(self, versions: dict[str, int], night: str | None = None) -> None:
+        """Record that a night, by default the next one, is published with these versions of the tables."""
+        night = night or self.next_night()
         with self._write(settled=True) as con:
-            con.executemany("insert into night_versions values (?, ?, ?)", [(now, *row) for row in versions.items()])
+            con.executemany("insert into night_versions values (?, ?, ?)", [(night, *row) for row in versions.items()])
 
     def snapshots(self) -> dict[str, dict[str, int]]:
-        """Map each night, oldest first, to the versions of the tables that it published."""
+        """Map each night, in the order of publication, to the versions of the tables that it published."""
         nights: dict[str, dict[str, int]] = {}
         rows = self._query(lambda con: con.execute("select night, asset, version from night_versions").fetchall())
-        for night, asset, version in sorted(rows):
+        for night, asset, version in sorted(rows, key=lambda row: _in_sequence(row[0])):
             nights.setdefault(night, {})[asset] = version
         return nights
 
@@ -329,3 +338,12 @@ class Ledger:
         """Delete the record of earlier versions of a table, which are lost."""
         with self._write() as con:
             con.execute("delete from night_versions where asset = ?", [asset])
+
+
+def night_number(night: str) -> int:
+    """Return a night's place in the sequence; 0 for those of earlier versions, which are named by their time alone."""
+    return int(night.partition("#")[2] or 0)
+
+
+def _in_sequence(night: str) -> tuple[int, str]:
+    return night_number(night), night

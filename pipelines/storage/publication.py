@@ -7,6 +7,7 @@ view would be planned over two hundred Parquet readers, a second of processor be
 
 import re
 import shutil
+import sys
 from collections import ChainMap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +19,8 @@ from pathlib import Path
 import dataframely as dy
 import duckdb
 
-from hdt_core.tables import FORMER_COMPONENT_TABLES, FORMER_NAMES, TABLES
-from pipelines.storage.catalog import CATALOG, open_catalog, open_database, quote, restrict
+from hdt_core.tables import TABLES
+from pipelines.storage.catalog import CATALOG, nights_of, open_catalog, open_database, quote, restrict
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import hash_of, replacing
 from pipelines.storage.ledger import Ledger
@@ -125,9 +126,12 @@ def publish(home: Path) -> Path:
         A file that a view reads is not what was written, and DuckDB can't open it.
     """
     store, path = Store(home.resolve()), home.resolve() / CATALOG
-    reuse = _is_as_published(path) and find_catalog_fault(home) in (None, _ANOTHER_PLACE)
+    ledger = Ledger(store.home)
+    nights = {"made_by": ledger.next_night(), "made_after": ledger.last_night()}
+    reuse = _is_as_published(path) and _find_form_fault(home) in (None, _ANOTHER_PLACE)
     names = read_names(store)
     reuse = reuse and _names_in(home) == names
+    sys.audit("hdt.before_publish")
     with replacing(path) as temporary:
         if reuse:
             shutil.copyfile(path, temporary)
@@ -139,6 +143,7 @@ def publish(home: Path) -> Path:
             changed = (
                 update_files(con, store, tables, names) if reuse else create_views(con, store, tables, names, STORED)
             )
+            _set_macros(con, nights)
             if changed:
                 con.execute(f"set schema = '{SCHEMA if names else 'main'}'")
                 _store_rows(con, store, tables, changed)
@@ -151,10 +156,10 @@ def publish(home: Path) -> Path:
             con.close()
         content_hash = hash_of(temporary.read_bytes())
     (path.parent / HASH).write_text(content_hash)  # after a kill before this line the next catalog is built anew
-    ledger = Ledger(store.home)
     remove_expired_daily(store, ledger)
     write_seal(store, {table: files for table, (_, files) in tables.items()})
-    ledger.note_snapshot({t: version for t, (version, _) in tables.items()})  # a snapshot implies that there is a seal
+    versions = {table: version for table, (version, _) in tables.items()}
+    ledger.note_snapshot(versions, nights["made_by"])  # a snapshot implies that there is a seal
     copy_ledger(ledger)
     return path
 
@@ -218,11 +223,6 @@ def create_views(
     con.execute("comment on column tables.files.path is 'a file that the views read, below the tables'' folder'")
     changed = update_files(con, store, tables, names)
     add_names(con, names)
-    of_components = " where component in (select component from tables.components where recorded)"
-    for former, table in (FORMER_NAMES | FORMER_COMPONENT_TABLES).items():
-        rows = of_components if former in FORMER_COMPONENT_TABLES else ""
-        con.execute(f"create view tables.{former} as from tables.{table}{rows}")
-        add_meanings(con, table, former)
     if names:
         con.execute(f"create schema {SCHEMA}; set schema = '{SCHEMA}'")
     add_views(con, stored)
@@ -236,10 +236,9 @@ def create_views(
 
 
 def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, names: Sequence[Name]) -> set[str]:
-    """Update where the tables lie, their files, and the view of each table whose files have changed; return those."""
-    macros = {"folder": _folder(store), "made_for": quote(_place_hash(store)), "made_as": quote(_recipe_hash())}
-    for name, value in macros.items():
-        con.execute(f"create or replace macro tables.{name}() as {value}")
+    """Update place and files, and the view of each table whose files have changed; return those."""
+    con.execute(f"create or replace macro tables.folder() as {_folder(store)}")
+    _set_macros(con, {"made_for": _place_hash(store), "made_as": _recipe_hash()})
     old: dict[str, list[str]] = {}
     for (path,) in con.execute("select path from tables.files order by path").fetchall():
         old.setdefault(path.split("/")[0], []).append(path)
@@ -254,6 +253,11 @@ def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, n
         con.execute(f"create or replace view tables.{table} as {with_present_names(select, table, names)}")
         add_meanings(con, table)
     return changed
+
+
+def _set_macros(con: duckdb.DuckDBPyConnection, texts: Mapping[str, str]) -> None:
+    for name, text in texts.items():
+        con.execute(f"create or replace macro tables.{name}() as {quote(text)}")
 
 
 def _store_rows(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, changed: set[str]) -> None:
@@ -276,7 +280,26 @@ def _tables_below(view: str, sources: Mapping[str, Collection[str]]) -> set[str]
 
 
 def find_catalog_fault(home: Path) -> str | None:
-    """Check the catalog; the fault in words, None where it is whole, of this version and of this home's tables."""
+    """Check the catalog; the fault in words, None where it is whole, of this version and of this home's tables now."""
+    return _find_form_fault(home) or find_staleness(home)
+
+
+def find_staleness(home: Path) -> str | None:
+    """Compare the catalog with the ledger and the tables; in words why it is not theirs, None where it is."""
+    ledger, store = Ledger(home, read_only=True), Store(home.resolve())
+    with open_catalog(home) as con:
+        night = nights_of(con)[0]
+        files = {path for (path,) in con.execute("select path from tables.files").fetchall()}
+    if not night or night != ledger.last_night():
+        return "it was not that of the last night"
+    published = ledger.snapshots()[night]
+    moved = [table for table in TABLES if store.tables.newest_version(table) != published.get(table)]
+    current = {f"{table}/{file}" for table in moved for file in store.tables.shards(table).values()}
+    of_moved = {path for path in files if path.split("/")[0] in moved}
+    return None if current == of_moved else "it was older than the tables"  # a vacuum moves a version and no file
+
+
+def _find_form_fault(home: Path) -> str | None:
     if not (home / CATALOG).exists():
         return "it was missing"
     try:
@@ -343,9 +366,9 @@ def tables_read() -> list[str]:
     return [t for t in TABLES if t in names]
 
 
-def add_meanings(con: duckdb.DuckDBPyConnection, table: str, name: str | None = None) -> None:
-    """Comment each column of `tables.<name>`, by default of the table's own name, with its declared meaning."""
-    _comment(con, f"tables.{name or table}", MEANINGS[table])
+def add_meanings(con: duckdb.DuckDBPyConnection, table: str) -> None:
+    """Comment each column of `tables.<table>` with its declared meaning."""
+    _comment(con, f"tables.{table}", MEANINGS[table])
 
 
 def _comment(con: duckdb.DuckDBPyConnection, place: str, meanings: Mapping[str, str]) -> None:

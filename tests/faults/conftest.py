@@ -13,10 +13,9 @@ from typing import Any
 import polars as pl
 import pytest
 from nights import keep_base
-from soundness import faults
+from soundness import faults, state
 from zones import drop_fleet, simulated
 
-from benchmarks.fault_points import fingerprint
 from pipelines.storage.store import Store
 
 
@@ -60,7 +59,7 @@ class Tiny:
     """One aircraft of four flights: history, a flight delivered twice, a row that is wrong; and how a night ends."""
 
     landing: Path
-    end: dict[str, str]
+    end: dict[str, Any]
 
 
 @pytest.fixture(scope="session")
@@ -77,7 +76,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory, children: Children) -> Tiny:
     home = children.home(root / "home")
     assert children.night(landing, home) == (0, "")
     assert faults(home, landing) == []
-    return Tiny(landing, fingerprint(home))
+    return Tiny(landing, state(home))
 
 
 def spoil(landing: Path) -> None:

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import duckdb
-import polars as pl
 import pytest
-from soundness import KEYS
+from soundness import answers
 from zones import drop_fleet, simulated
 
 from benchmarks.fault_points import fingerprint
@@ -68,16 +67,6 @@ def whole(children, tmp_path_factory) -> Whole:
     for zone in zones:
         zone.only(zone.flights[4:]).drop_csv(later)
     return Whole(landing, later, home, fingerprint(home), answers(home))
-
-
-def answers(home: Path) -> dict[str, int]:
-    """What each promised view answers, as a sum over its rows."""
-    sums = {}
-    with connect(home) as con:
-        for view in KEYS:
-            frame = con.sql(f"from {view}").pl().select(pl.exclude("received_at").cast(pl.String, strict=False))
-            sums[view] = frame.hash_rows().sum()
-    return sums
 
 
 def targets(home: Path, kind: str) -> list[Path]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from command import hdt
-from soundness import faults
+from soundness import faults, state
 from sqlalchemy.exc import OperationalError
 
 from benchmarks import fault_points
@@ -35,7 +35,7 @@ def test_no_file_may_grow_beyond_a_limit(tiny, children, intact, tmp_path, limit
     intact(home)
     assert children.night(tiny.landing, home) == (0, "")
     assert faults(home, tiny.landing) == []
-    assert fingerprint(home) == tiny.end
+    assert state(home) == tiny.end
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_the_power_is_cut_further_on_each_time(tiny, children, intact, tmp_path)
     assert (ended, message) == (0, "")
     assert place > 30
     assert faults(home, tiny.landing) == []
-    assert fingerprint(home) == tiny.end
+    assert state(home) == tiny.end
 
 
 def test_a_cut_would_tell_if_files_were_not_synced(tiny, children, tmp_path):

@@ -2,17 +2,23 @@
 
 import re
 import shutil
+import sqlite3
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
+import duckdb
 import polars as pl
 import pytest
 from nights import empty_home
 
 from hdt_core.tables import TABLES
-from pipelines.storage.catalog import connect
-from pipelines.storage.ledger import Ledger
+from pipelines.storage import ledger, seal
+from pipelines.storage.catalog import CATALOG, connect
+from pipelines.storage.ledger import FILE, Ledger
 from pipelines.storage.objects import StoreError
-from pipelines.storage.publication import connect_as_of, publish
+from pipelines.storage.publication import connect_as_of, find_catalog_fault, publish
 from pipelines.storage.seal import Retention, find_night, remove_expired
 from pipelines.storage.store import Store
 
@@ -78,7 +84,7 @@ def test_what_is_no_day_and_no_time_in_utc_finds_no_night(text):
 def test_what_is_beyond_its_time_goes_and_what_is_held_stays(home):
     store, ledger, before = Store(home), Ledger(home), names(home)
     remove_expired(store, ledger, Retention(keep_days=0, hold=(before[1],)))
-    assert names(home) == [before[1]]
+    assert names(home) == [before[1], before[-1]]  # the last has not been replaced
     assert snapshots_of(connect_as_of(home, before[1])) == 1
     assert snapshots_of(connect(home)) == NIGHTS - 1
     files = list((home / "tables/raw_flights/AQX/LX-AAA").glob("*.parquet"))
@@ -106,3 +112,59 @@ def test_a_file_of_an_earlier_night_that_is_damaged_is_told(home):
     (home / "tables" / file).write_bytes(b"PAR1")
     with pytest.raises(StoreError, match=f"the night of {re.escape(first)} is not kept whole"):
         connect_as_of(home, first)
+
+
+def at(monkeypatch: pytest.MonkeyPatch, years: int) -> None:
+    """The clock of the nights and of their retention, so many years ahead."""
+    for module in (ledger, seal):
+        clock = SimpleNamespace(now=lambda zone: datetime.now(zone) + timedelta(days=365 * years))
+        monkeypatch.setattr(module, "datetime", SimpleNamespace(**vars(clock), fromisoformat=datetime.fromisoformat))
+
+
+@pytest.mark.parametrize("years", [10, -5])
+def test_a_clock_that_jumps_costs_no_night(home, monkeypatch, years):
+    before, store = names(home), Store(home)
+    at(monkeypatch, years)
+    for _ in range(2):
+        publish(home)
+        remove_expired(store, Ledger(home), Retention())
+    at(monkeypatch, 0)
+    publish(home)
+    remove_expired(store, Ledger(home), Retention())
+    assert names(home)[:NIGHTS] == before
+    assert Ledger(home).last_night()[:4] == f"{datetime.now(UTC):%Y}"
+
+
+def test_the_catalog_of_another_home_does_not_answer(home, tmp_path):
+    other = Path(shutil.copytree(home, tmp_path / "other"))
+    for _ in range(2):
+        publish(other)
+    shutil.copyfile(other / CATALOG, home / CATALOG)
+    with pytest.raises(StoreError, match="is not that of the last night"):
+        connect(home)
+
+
+def test_a_home_of_an_earlier_version_answers(home):
+    """Its nights have no numbers, and its catalog names none."""
+    with closing(sqlite3.connect(home / FILE)) as con, con:
+        con.execute("update night_versions set night = substr(night, 1, instr(night, '#') - 1)")
+    with duckdb.connect(str(home / CATALOG)) as con:
+        con.execute("drop macro tables.made_by; drop macro tables.made_after")
+    assert snapshots_of(connect(home)) == NIGHTS - 1
+    publish(home)
+    assert snapshots_of(connect(home)) == NIGHTS - 1
+
+
+def test_an_earlier_catalog_is_a_fault(home, tmp_path):
+    publish(home)
+    earlier = shutil.copyfile(home / CATALOG, tmp_path / "earlier")
+    publish(home)
+    assert find_catalog_fault(home) is None
+    shutil.copyfile(earlier, home / CATALOG)
+    assert find_catalog_fault(home) == "it was not that of the last night"
+
+
+def test_tables_newer_than_the_catalog_are_a_fault(home):
+    publish(home)
+    Store(home).merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(9))
+    assert find_catalog_fault(home) == "it was older than the tables"

@@ -3,7 +3,11 @@
 import re
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
+import polars as pl
+
+from benchmarks.fault_points import fingerprint
 from pipelines.storage.catalog import connect
 from pipelines.storage.store import Store
 
@@ -46,3 +50,18 @@ _LOGS = ("raw_messages", "raw_maintenance", "raw_fleet", "raw_checks")
 def _delivered(landing: Path) -> set[str]:
     names = {str(f.relative_to(landing)) for f in landing.rglob("*") if f.is_file()}
     return {n for n in names if not re.search(r"(^|/)\.|\.part", n)}
+
+
+def answers(home: Path) -> dict[str, int]:
+    """What each promised view answers, as a sum over its rows."""
+    sums = {}
+    with connect(home) as con:
+        for view in KEYS:
+            frame = con.sql(f"from {view}").pl().select(pl.exclude("received_at").cast(pl.String, strict=False))
+            sums[view] = frame.hash_rows().sum()
+    return sums
+
+
+def state(home: Path) -> dict[str, Any]:
+    """Hash of every table as it is stored, and what the catalog answers."""
+    return fingerprint(home) | {f"view {view}": answer for view, answer in answers(home).items()}

@@ -1,0 +1,123 @@
+"""The catalog is that of the last night, whatever stops its publication or is put in its place."""
+
+import os
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+from command import hdt
+from soundness import answers, state
+from zones import drop_fleet, simulated
+
+from pipelines.storage.catalog import CATALOG
+from pipelines.storage.files import LOG
+from pipelines.storage.publication import HASH
+
+ZONE = simulated(5, 4, operator="QQX", tail="Z9")
+
+
+@pytest.fixture(scope="module")
+def two(children, tmp_path_factory) -> Path:
+    """A landing zone, a home after two nights over it, and that home after the first. Read only."""
+    root = tmp_path_factory.mktemp("two")
+    landing, home = root / "landing", children.home(root / "home")
+    drop_fleet(landing, [ZONE])
+    ZONE.drop_papers(landing)
+    ZONE.only(ZONE.flights[:3]).drop_csv(landing)
+    assert children.night(landing, home) == (0, "")
+    shutil.copytree(home, root / "earlier")
+    ZONE.drop_csv(landing)
+    assert children.night(landing, home) == (0, "")
+    return root
+
+
+@pytest.fixture
+def own(two, tmp_path) -> Path:
+    return Path(shutil.copytree(two, tmp_path / "own", copy_function=shutil.copy2))
+
+
+COUNT = "select count(*) from flights"
+
+
+@pytest.fixture(scope="module")
+def third(two, children, tmp_path_factory) -> Path:
+    """The same after a third night, over a flight that came again. Read only."""
+    root = Path(shutil.copytree(two, tmp_path_factory.mktemp("third") / "root", copy_function=shutil.copy2))
+    redeliver(root / "landing")
+    assert children.night(root / "landing", root / "home") == (0, "")
+    return root
+
+
+def test_publication_that_was_stopped_is_made_good(own, third, children):
+    """The night is killed when all its tables are stored."""
+    home = own / "home"
+    assert children.night(own / "landing", home) == (0, "")  # the catalog is of this place now
+    assert children.night(third / "landing", home, fault="before_publish:1")[0] == signal.SIGKILL
+    told = hdt("doctor", "--home", home)
+    assert children.night(third / "landing", home) == (0, "")
+    assert (told.returncode, answers(home)) == (1, answers(third / "home"))
+
+
+def test_an_earlier_catalog_does_not_answer(own):
+    shutil.copyfile(own / "earlier" / CATALOG, own / "home" / CATALOG)
+    asked = hdt("query", COUNT, "--home", own / "home")
+    assert asked.returncode == 2
+    assert "is not that of the last night; `hdt nightly` publishes it again" in asked.stderr
+
+
+@pytest.mark.parametrize("with_hash", [False, True])
+def test_an_earlier_catalog_is_replaced(own, two, children, with_hash):
+    for name in (CATALOG, HASH) if with_hash else (CATALOG,):
+        shutil.copyfile(own / "earlier" / name, own / "home" / name)
+    told = hdt("doctor", "--home", own / "home")
+    assert children.night(own / "landing", own / "home") == (0, "")
+    assert (told.returncode, state(own / "home")) == (1, state(two / "home"))
+
+
+def test_an_idle_night_publishes_nothing(own, children):
+    assert children.night(own / "landing", own / "home") == (0, "")  # the catalog is of this place now
+    before = (own / "home" / CATALOG).stat().st_ino
+    assert children.night(own / "landing", own / "home") == (0, "")
+    assert (own / "home" / CATALOG).stat().st_ino == before
+
+
+@pytest.mark.parametrize("name", ["features_witnesses", "twin_components"])
+def test_former_names_are_gone(own, name):
+    asked = hdt("query", f"select count(*) from tables.{name}", "--home", own / "home")
+    assert f"Table with name {name} does not exist" in asked.stderr
+
+
+@pytest.mark.parametrize("table", ["tables.features", "query_table('tables.' || 'features')"])
+def test_swapped_files_do_not_answer(own, table):
+    one, other = sorted((own / "home/tables/features").rglob("all.*.parquet"))[:2]
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(one.read_bytes())
+    asked = hdt("query", f"select count(*) from {table}", "--home", own / "home")
+    assert "is not what was written" in asked.stderr
+
+
+def test_a_shard_with_two_files_is_made_again(own, third, children):
+    """A bit flips in the log, in the name of the file that a commit removes; size and time stay."""
+    home = own / "home"
+    commit = max(file for file in home.glob(f"tables/legs_samples/{LOG}/*.json") if '"remove"' in file.read_text())
+    flip_removed(commit)
+    ended, repairs = children.night(third / "landing", home)
+    assert (ended, state(home)) == (0, state(third / "home"))
+    assert "the log of legs_samples was damaged" in repairs
+
+
+def flip_removed(commit: Path) -> None:
+    """Change a letter of the hash in a removed file's name."""
+    before, content = commit.stat(), commit.read_text()
+    start = content.index('"path":"', content.index('"remove"'))
+    place = content.index(".parquet", start) - 1
+    letter = "1" if content[place] == "0" else "0"
+    commit.write_text(content[:place] + letter + content[place + 1 :])
+    os.utime(commit, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def redeliver(landing: Path) -> None:
+    """Take a row from the newest flight."""
+    file = max(ZONE.folder(landing).glob("acms/*.csv"))
+    file.write_text("\n".join(file.read_text().splitlines()[:-1]) + "\n")
