@@ -92,7 +92,7 @@ def _lost_cases(entries: pl.DataFrame, before: pl.DataFrame, now: pl.DataFrame) 
     unnamed = stored.join(named, on="alert_id", how="anti").select(
         line=pl.lit(0, pl.Int64), case_id="alert_id", alert_id="alert_id"
     )
-    from_store = pl.concat([unnamed, named]).join(stored, on="alert_id", how="inner", maintain_order="left")
+    from_store = pl.concat([unnamed, named]).join(stored, on="alert_id", maintain_order="left", validate="m:1")
     known = pl.concat([_spans_in_log(entries), from_store], how="diagonal_relaxed").with_row_index("n")
     is_raised = pl.col("case_id").is_in(list(_held(entries, now))) | pl.col("alert_id").is_in(list(now["alert_id"]))
     # of what the night before stored the last, else what the log itself has
@@ -114,7 +114,7 @@ def _pairs(lost: pl.DataFrame, now: pl.DataFrame, last_at: datetime | None) -> l
     """Return lost cases with each alert of the same kind open at a common moment, the nearest first."""
     if lost.is_empty() or now.is_empty():
         return []
-    pairs = lost.join(now, on=_KIND, suffix="_now", nulls_equal=True)
+    pairs = lost.join(now, on=_KIND, suffix="_now", nulls_equal=True, validate="m:m")
     same_sensor = pl.col("sensor").is_null() | (pl.col("sensor") == pl.col("sensor_now"))  # old lines name none
     overlap = (pl.col("raised_at") <= _end("closed_at_now")) & (pl.col("raised_at_now") <= _end("closed_at"))
     distance = _apart(pl.col("raised_at"), pl.col("raised_at_now")) + _apart(

@@ -147,7 +147,8 @@ def _open(
         return OpenFile(faults), pl.DataFrame()
     if file.is_text:
         text = open_text(content, contract)
-        return OpenFile([*faults, *text.faults], text.n_rows, text), pl.DataFrame()
+        text.faults[:0] = faults  # the list itself, to which the parsing of its lines adds
+        return OpenFile(text.faults, text.n_rows, text), pl.DataFrame()
     frame, n_rows, parquet_faults = open_parquet(content, contract, only)
     return OpenFile([*faults, *parquet_faults], n_rows), frame
 

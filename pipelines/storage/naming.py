@@ -43,7 +43,8 @@ def read_names(store: Store) -> list[Name]:
     lines = lines.join(names, on=["operator", "tail"], how="semi").sort("valid_from", nulls_last=False)
     lines = lines.with_columns(pl.concat_str(pl.col("flight_prefix").fill_null(""), "tail").alias("flight_tail"))
     lines = lines.unique([*_LINE, "flight_tail"], keep="first", maintain_order=True)
-    last = lines.join(_last_flights(store, lines), on=[*_LINE, "flight_tail"], how="left", maintain_order="left")
+    latest = _last_flights(store, lines)
+    last = lines.join(latest, on=[*_LINE, "flight_tail"], how="left", maintain_order="left", validate="m:1")
     last = last.sort("departed_at", nulls_last=False, maintain_order=True).unique(
         _LINE, keep="last", maintain_order=True
     )

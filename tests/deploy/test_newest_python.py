@@ -9,7 +9,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-NEWEST = next((f"python3.{n}" for n in range(20, sys.version_info.minor, -1) if shutil.which(f"python3.{n}")), None)
+NAMES = [f"python3.{n}" for n in range(20, sys.version_info.minor, -1)]
+
+
+def runs(name: str) -> bool:
+    """Whether a Python starts: a version manager puts names on the path of versions that it lacks."""
+    return (
+        shutil.which(name) is not None
+        and not subprocess.run([name, "-c", ""], capture_output=True, check=False).returncode
+    )
+
+
+NEWEST = next(filter(runs, NAMES), None)
 
 
 @pytest.mark.skipif(NEWEST is None, reason="no Python newer than the one that runs the tests")

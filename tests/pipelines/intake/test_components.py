@@ -172,6 +172,8 @@ def test_without_a_reader_folders_are_set_aside_by_name_and_nothing_else_is(brin
 def test_a_recording_of_earlier_nights_gives_nothing_and_says_why(bring, tmp_path):
     bring()
     path = "AAA/T-1/recorder/T-1_20240101_01.dat"
+    (tmp_path / path).parent.mkdir(parents=True)
+    (tmp_path / path).write_bytes(b"x")
     file = LandingFile(str(tmp_path), path, "AAA", "T-1", "recorder", 1, 0)
     intake = read_snapshots([file], NOW)
     assert (intake.rows.height, intake.delivered["n_delivered"].sum()) == (0, 0)
