@@ -45,6 +45,8 @@ def cells(printed: str) -> Cells:
             mark = line.removeprefix("## ")
         if not line.startswith("| "):
             head = []
+            if re.search(r"\d", line) and not TIMES.search(line):
+                found[mark, re.sub(r"[-\d.,e+ ]+", "#", line), sum(k[0] == mark for k in found), ""] = line
             continue
         row = [cell.strip() for cell in line.strip("| ").split(" | ")]
         if not head:

@@ -50,6 +50,12 @@ def test_scores_are_compared_and_times_are_not(was, now, n_moved):
     assert len(lines) == n_moved
 
 
+def test_figures_of_a_line_are_compared():
+    lines = small.moved(small.cells("tied H of 1.0: 3355"), small.cells("tied H of 1.0: 3400"))
+
+    assert len(lines) == 1
+
+
 @pytest.mark.parametrize("name", small.COMMANDS)
 def test_small_run_prints_what_is_stored(name):
     printed = small.run(name)
