@@ -80,13 +80,25 @@ def with_present_names(select: str, table: str, names: Sequence[Name]) -> str:
     return f"select * replace ({', '.join(replaced)}) from ({select})"
 
 
+_NAMES = {
+    "key_operator": "operator by which stored rows name the airframe",
+    "key_tail": "tail by which stored rows name it",
+    "present_operator": "operator under which the ranking has it",
+    "present_tail": "tail under which the ranking has it",
+    "flight_tail": "tail in the ids of flights delivered under this name, with its prefix",
+    "operator": "operator under which the flights were delivered",
+    "tail": "tail under which they were delivered",
+}
+
+
 def add_names(con: duckdb.DuckDBPyConnection, names: Sequence[Name]) -> None:
     """Add the table of names, empty where no airframe changed its name."""
-    columns = ("key_operator", "key_tail", "present_operator", "present_tail", "flight_tail", "operator", "tail")
-    con.execute(f"create table tables.names ({', '.join(f'{c} varchar' for c in columns)})")
+    con.execute(f"create table tables.names ({', '.join(f'{c} varchar' for c in _NAMES)})")
+    for column, meaning in _NAMES.items():
+        con.execute(f"comment on column tables.names.{column} is '{meaning}'")
     if names:
         rows = [(*n.key, *n.present, n.flight_tail, *n.delivered) for n in names]
-        con.executemany(f"insert into tables.names values ({', '.join('?' * len(columns))})", rows)
+        con.executemany(f"insert into tables.names values ({', '.join('?' * len(_NAMES))})", rows)
 
 
 def public_view(name: str, columns: Sequence[str]) -> str:
@@ -104,7 +116,7 @@ def public_view(name: str, columns: Sequence[str]) -> str:
         if "file" in columns:
             in_folder = "len(string_split(v.file, '/')) > 2"
             folder = {c: f"split_part(v.file, '/', {place})" for place, c in enumerate(present, 1)}
-            present = {c: f"if({in_folder}, {folder[c]}, {sql})" for c, sql in present.items()}
+            present = {c: f"case when {in_folder} then {folder[c]} else {sql} end" for c, sql in present.items()}
         replaced |= present
     values = ", ".join(f"{sql} as {column}" for column, sql in replaced.items())
     return f"create view {name} as select v.*{f' replace ({values})' if values else ''} from {source}"

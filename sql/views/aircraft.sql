@@ -3,7 +3,7 @@
 -- airframe_operator: operator under which the ranking has the airframe
 -- airframe_tail: tail under which the ranking has it; numbered where another airframe has the tail now
 -- flight_prefix: null where no line of fleet.csv names the operator and tail
--- Grain: airframe, operator, tail, valid_from. Reads: tables.raw_fleet, tables.raw_flights.
+-- Grain: operator, tail, msn, valid_from. Reads: tables.raw_fleet, tables.raw_flights.
 create or replace view aircraft as
 with unlisted as (
     select distinct

@@ -2,7 +2,7 @@
 -- operator: operator under which the ranking has it
 -- tail: tail under which the ranking has it
 -- n_names: operators and tails under which fleet.csv lists it
--- Grain: airframe. Reads: aircraft.
+-- Grain: operator, tail. Reads: aircraft.
 create or replace view airframes as
 select
     airframe_operator as operator,

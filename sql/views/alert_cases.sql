@@ -4,7 +4,7 @@
 -- alert, it has the id of the one that was there first.
 -- case_id: id of the alert's case
 -- known_as: the id of the case, or one that its alert has or had; a row for each
--- Grain: name. Reads: tables.features_alerts, tables.raw_cases.
+-- Grain: known_as. Reads: tables.features_alerts, tables.raw_cases.
 create or replace view alert_cases as
 with named as (
     select

@@ -5,7 +5,8 @@
 -- flown_from: flights that depart from then on count as flown after it
 -- matched_by: log (as it is listed), recovery (when and where the flights show that a loss recovered)
 -- note: how it was taken otherwise than listed
--- Grain: line of the log. Reads: tables.raw_maintenance, tables.raw_maintenance_not_done, tables.features_work,
+-- Grain: operator, tail, file, done_on, pack, component, action, reference, finding.
+-- Reads: tables.raw_maintenance, tables.raw_maintenance_not_done, tables.features_work,
 -- airframes.
 create or replace view maintenance as
 with lines as (

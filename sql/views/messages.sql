@@ -2,7 +2,8 @@
 -- answered_by: reference and day of the work; NULL where none answered it
 -- matched_by: log (work that was logged in time), recovery (work that the flights show otherwise than it is logged)
 -- note: how the work is logged otherwise
--- Grain: line of the log. Reads: tables.raw_messages, tables.components, flights, unit_lives, maintenance,
+-- Grain: operator, tail, file, message_time, pack, code.
+-- Reads: tables.raw_messages, tables.components, flights, unit_lives, maintenance,
 -- airframes.
 create or replace view messages as
 with failures as (

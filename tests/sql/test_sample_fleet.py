@@ -28,7 +28,9 @@ def test_a_view_is_a_question_with_grain_and_sources(name):
     assert header.grain
     assert f"create or replace view {name} as" in sql
     body = "\n".join(line for line in sql.splitlines() if not line.startswith("--"))
-    read = set(re.findall(r"\b(?:from|join) (tables\.\w+|\w+)", body)) - set(re.findall(r"(\w+) as \(\n", body))
+    read = set(re.findall(r"(?<!distinct )\b(?:from|join) (tables\.\w+|\w+)", body)) - set(
+        re.findall(r"(\w+) as \(\n", body)
+    )
     assert read == set(header.sources)
 
 

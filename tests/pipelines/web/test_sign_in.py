@@ -183,7 +183,7 @@ def test_without_a_file_the_token_is_an_engineers_and_nobody_has_a_name(tmp_path
         ("[people]\nAda = {role = 'viewer', operators = 'AQX'}", "'Ada': operators is a list"),
         ("[people]\nAda = {role = 'viewer', operators = []}", "'Ada': operators is empty"),
         ("[people]\n'' = 'viewer'", "a name has 1 to 80 printable characters"),
-        ("[people]\n\"A\\nB\" = 'viewer'", "a name has 1 to 80 printable characters"),
+        ("[people]\n\"A\\nB\" = 'viewer'", "a key has a control character"),
         ("[people]\nAda = 'viewer'\nAda = 'engineer'", "no TOML"),
         ("[people", "no TOML"),
         ("a = " + "[" * 100_000, "no TOML"),
