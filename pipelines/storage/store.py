@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from hdt_core.tables import TABLES, StoredTable
-from hdt_core.tables.base import OPERATOR, TAIL
+from hdt_core.tables.base import AIRFRAME_TAIL, OPERATOR
 from pipelines.storage.delta import Change, Deltas, StoredShards, Version
 from pipelines.storage.files import Folder, sweep
 from pipelines.storage.objects import Bucket, StoreError, bucket
@@ -144,7 +144,7 @@ def shard_of(aircraft: Aircraft, shard: str = "") -> str:
     if aircraft == FLEET:
         return "fleet"
     operator, tail = aircraft
-    if not (re.fullmatch(OPERATOR, operator) and re.fullmatch(TAIL, tail)):
+    if not (re.fullmatch(OPERATOR, operator) and re.fullmatch(AIRFRAME_TAIL, tail)):
         raise ValueError(f"not an operator and tail: {operator!r}, {tail!r}")
     return f"{operator}/{tail}/{shard}".rstrip("/")
 
