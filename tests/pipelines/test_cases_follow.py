@@ -14,7 +14,7 @@ SAMPLES = Path(__file__).parents[2] / "data_samples"
 
 def new_rules(landing: Path, home: Path) -> None:
     """As after an upgrade: alerts are raised at another loss."""
-    (home / "alerts.toml").write_text("fouling = 0.10\n")
+    (home / "alerts.toml").write_text("fouling = 0.16\n")
 
 
 def another_aircraft(landing: Path, home: Path) -> None:
