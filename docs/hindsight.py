@@ -38,6 +38,11 @@ REVISIONS = (
         "a life ends when its end is on record",
     ),
     Revision(
+        ("messages",),
+        ("answered_by", "matched_by", "note"),
+        "a message is answered by work that comes after it",
+    ),
+    Revision(
         ("training_set",),
         tuple(f"label_{c}_{name}" for c in ("hx", "cc") for name in ("flights", "censored", "ended_by")),
         "labels: events after the flight",
