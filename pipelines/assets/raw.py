@@ -37,7 +37,7 @@ def raw_fleet(home: Home) -> StageResult:
     fleet = lists[0][1].rows if lists else stored  # a missing list removes no aircraft
     checks = [(f, _checks(f, now, home)) for f in files if f.kind == "checks"]
     costs, cost_faults = costs_or_fault(Path(home.home))
-    without_flight = read_snapshots([f for f in files if f.kind == WITHOUT_FLIGHT], now)
+    without_flight = read_snapshots([f for f in files if f.kind == WITHOUT_FLIGHT])
     own_quarantine = pl.concat([without_flight.quarantine, *(x.quarantine for _, x in lists + checks)])
     inputs_changed = register_unread(ledger, listing, files, own_quarantine, due_times(lists + checks))
     accounts = without_flight.delivered.select(

@@ -8,7 +8,6 @@ import sqlite3
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import duckdb
@@ -95,7 +94,7 @@ def _landing(landing: Path, home: Path | None) -> Iterator[Check]:
     new = list_new_files(landing, Ledger(home, read_only=True))[1] if home else listing.files
     newest = sorted((f for f in new if f.kind in FLIGHT_FILES), key=lambda f: f.mtime_ns, reverse=True)[:NEW_FILES]
     sample = {f.path: f for f in (*newest, *sample_files(listing.files))}
-    faults = check_contents([*sample.values()], datetime.now(UTC))
+    faults = check_contents([*sample.values()])
     yield Check("contents", not faults, "; ".join(faults) or f"{len(sample)} files sampled, columns as agreed")
 
 
@@ -113,19 +112,18 @@ def _oldest_and_newest(files: list[LandingFile]) -> list[LandingFile]:
     return newest if files[-1].is_recording or len(files) < FILES_A_FOLDER else [files[0], *newest]
 
 
-def check_contents(files: list[LandingFile], now: datetime) -> list[str]:
+def check_contents(files: list[LandingFile]) -> list[str]:
     """List files of which nothing could be stored, and each silent column; nothing is stored."""
     with duckdb.connect() as con:
         con.execute("create schema tables")
         refused = [
-            _load(con, files[start : start + _FILES_AT_ONCE], now)
-            for start in range(0, max(len(files), 1), _FILES_AT_ONCE)
+            _load(con, files[start : start + _FILES_AT_ONCE]) for start in range(0, max(len(files), 1), _FILES_AT_ONCE)
         ]
         con.execute(views()["silent_columns"])
         return [*ignored_entries(pl.concat(refused)), *silent_lines(silent_columns(con))]
 
 
-def _load(con: duckdb.DuckDBPyConnection, files: list[LandingFile], now: datetime) -> pl.DataFrame:
+def _load(con: duckdb.DuckDBPyConnection, files: list[LandingFile]) -> pl.DataFrame:
     """Load accounts and quarantine rows of some files into the tables that the view reads.
 
     Returns
@@ -133,7 +131,7 @@ def _load(con: duckdb.DuckDBPyConnection, files: list[LandingFile], now: datetim
     DataFrame
         Quarantine rows of the files without a good row: `file, detail`, one of each file.
     """
-    intake = read_snapshots(files, now)
+    intake = read_snapshots(files)
     both = pl.concat([intake.rows.select("file", "flight_id"), intake.quarantine.select("file", "flight_id")])
     flights = both.drop_nulls().group_by("file").agg(pl.col("flight_id").max())
     names = dict.fromkeys(("file", "operator", "tail"), pl.String)

@@ -8,7 +8,7 @@ again and is broken removes nothing.
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ def ingest_flights(
     files = landing_files(landing, flight_files.filter(pl.col("flight_id").is_in(flights)))
     stored_rows = StoredRows(store, aircraft, flights, [f.path for f in files], flight_files["path"].unique().to_list())
     packs = stored_rows.packs()
-    intake = read_snapshots([replace(f, packs_stored=packs.get(f.path, 0)) for f in files], datetime.now(UTC))
+    intake = read_snapshots([replace(f, packs_stored=packs.get(f.path, 0)) for f in files])
     of_files = flight_files.filter(pl.col("flight_id").is_in(flights))
     inputs_changed = register_unread(ledger, of_files, files, intake.quarantine)
     _check_balance(intake)

@@ -36,7 +36,7 @@ class ValidatedRows:
     faults: list[tuple[int, Fault]]
 
 
-def validate_rows(raw: pl.DataFrame, files: Sequence[LandingFile], now: datetime) -> ValidatedRows:
+def validate_rows(raw: pl.DataFrame, files: Sequence[LandingFile]) -> ValidatedRows:
     """Validate rows of several files.
 
     Parameters
@@ -45,12 +45,10 @@ def validate_rows(raw: pl.DataFrame, files: Sequence[LandingFile], now: datetime
         `file_index, row, flight_id, report_time` (UTC), `pack`, phase code and all signals in recorded units.
     files : sequence of LandingFile
         By `file_index`.
-    now : datetime
-        Times after it lie in the future.
     """
     signals = pl.col(SIGNAL_NAMES)
     slips = find_unit_slips(raw.with_columns(pl.when(signals.is_finite()).then(signals)))
-    reasons = _row_reasons(raw, files, now, slips.filter(pl.col("reason") != OUTSIDE))
+    reasons = _row_reasons(raw, files, slips.filter(pl.col("reason") != OUTSIDE))
     bad = reasons.get_column("reason").is_not_null()
     faults = _row_faults(raw, reasons, bad, files) if bad.any() else []
     rows, values = _null_invalid(raw.filter(~bad) if bad.any() else raw, _fitting_units(raw, slips))
@@ -65,7 +63,7 @@ def _fitting_units(raw: pl.DataFrame, slips: pl.DataFrame) -> dict[tuple[int, st
     return {(file, flight, column): sentence for file, flight, column, sentence in keys}
 
 
-def _row_reasons(raw: pl.DataFrame, files: Sequence[LandingFile], now: datetime, slips: pl.DataFrame) -> pl.DataFrame:
+def _row_reasons(raw: pl.DataFrame, files: Sequence[LandingFile], slips: pl.DataFrame) -> pl.DataFrame:
     """Give the reason why each row is rejected, null where it is not, and the columns at fault."""
     unit = ("file_index", "flight_id")
     flights = _flights(raw.select(unit).unique(), files)

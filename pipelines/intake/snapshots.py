@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 
 import polars as pl
 
@@ -29,7 +28,7 @@ class Intake:
     """`file, n_delivered`"""
 
 
-def read_snapshots(files: Sequence[LandingFile], now: datetime) -> Intake:
+def read_snapshots(files: Sequence[LandingFile]) -> Intake:
     """Read `acms`, `history` and `cpl` files into rows in SI, and a quarantine row for each fault.
 
     Many files at once cost far less each than one at a time; the result is the same.
@@ -37,8 +36,6 @@ def read_snapshots(files: Sequence[LandingFile], now: datetime) -> Intake:
     Parameters
     ----------
     files : sequence of LandingFile
-    now : datetime
-        Times after it lie in the future. UTC.
 
     Returns
     -------
@@ -47,24 +44,24 @@ def read_snapshots(files: Sequence[LandingFile], now: datetime) -> Intake:
     """
     try:
         with panics_as_errors():
-            return _read_together(files, now)
+            return _read_together(files)
     except Exception as error:
         if len(files) == 1:  # it costs no other file
             file = files[0]
             faults = file.quarantine([Fault("cannot_process", detail=first_line(error)), *file.find_change()])
             return Intake(NO_ROWS, faults, _delivered_frame([file.path], [0]))
     half = len(files) // 2
-    parts = [read_snapshots(part, now) for part in (files[:half], files[half:])]
+    parts = [read_snapshots(part) for part in (files[:half], files[half:])]
     return Intake(*(pl.concat([getattr(p, f) for p in parts]) for f in ("rows", "quarantine", "delivered")))
 
 
-def _read_together(files: Sequence[LandingFile], now: datetime) -> Intake:
+def _read_together(files: Sequence[LandingFile]) -> Intake:
     opened_files, raw = open_files(files, PACK_FILES)
     rows = NO_ROWS
     if raw.height:
         types = dict.fromkeys(PACK_FILES.words, pl.String) | dict.fromkeys(PACK_FILES.numbers, pl.Float64)
         raw = raw.with_columns(pl.lit(None, t).alias(c) for c, t in types.items() if c not in raw.columns)
-        result = validate_rows(raw, files, now)
+        result = validate_rows(raw, files)
         rows = _to_si(result.rows, files)
         add_faults(opened_files, result.faults)
     frames = [f.quarantine(o.faults) for f, o in zip(files, opened_files, strict=True) if o.faults]

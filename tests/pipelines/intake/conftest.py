@@ -57,10 +57,10 @@ def balanced() -> Callable[[Intake], Intake]:
 
 @pytest.fixture(scope="session")
 def read(balanced) -> Callable[..., Intake]:
-    """`read_snapshots` at a fixed now, checked to balance."""
+    """`read_snapshots`, checked to balance."""
 
     def call(files) -> Intake:
         files = [files] if isinstance(files, LandingFile) else files
-        return balanced(read_snapshots([f for f in files if f.kind != "fleet"], NOW))
+        return balanced(read_snapshots([f for f in files if f.kind != "fleet"]))
 
     return call

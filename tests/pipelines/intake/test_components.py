@@ -175,7 +175,7 @@ def test_a_recording_of_earlier_nights_gives_nothing_and_says_why(bring, tmp_pat
     (tmp_path / path).parent.mkdir(parents=True)
     (tmp_path / path).write_bytes(b"x")
     file = LandingFile(str(tmp_path), path, "AAA", "T-1", "recorder", 1, 0)
-    intake = read_snapshots([file], NOW)
+    intake = read_snapshots([file])
     assert (intake.rows.height, intake.delivered["n_delivered"].sum()) == (0, 0)
     assert "recorder/: hdt_recorder of the package" in intake.quarantine["detail"].item()
     assert read_components([file], NOW) == []

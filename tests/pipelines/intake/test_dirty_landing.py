@@ -111,12 +111,12 @@ def test_nothing_else_is_reported_and_repeated_rows_are_stored_once(landing, int
     assert balances(intake.delivered, merged.rows, merged.duplicates, intake.quarantine)
 
 
-def test_the_flight_of_the_how_to_is_taken_in_as_the_recorder_gave_it(monkeypatch, now):
+def test_the_flight_of_the_how_to_is_taken_in_as_the_recorder_gave_it(monkeypatch):
     monkeypatch.chdir(PROJECT)
     page = walk("raw-data.md")
     written, sample = list_landing(page["landing"]), list_landing(PROJECT / "data_samples")
-    mine = read_snapshots([f for f in written.files if f.tail == "9H-XYZ"], now)
-    same = read_snapshots([f for f in sample.files if f"data_samples/{f.path}" == page["sample"]], now)
+    mine = read_snapshots([f for f in written.files if f.tail == "9H-XYZ"])
+    same = read_snapshots([f for f in sample.files if f"data_samples/{f.path}" == page["sample"]])
     assert written.quarantine.height == mine.quarantine.height == 0
     assert mine.rows["operator"].unique().to_list() == ["XYZ"]
     columns = ["time_utc", "pack", "altitude_m", "mach", "tat_k", "total_pressure_pa", "hx_in_k", "hx_out_k",
@@ -174,10 +174,10 @@ def test_a_file_nobody_foresaw_costs_itself_alone(error, good_flight, deliver, r
     files = deliver({f"AQX/LX-AAA/acms/copy {i}.csv": good_flight for i in range(7)})
     real = snapshots.validate_rows
 
-    def sick(raw, files, now):
+    def sick(raw, files):
         if any("copy 4" in file.path for file in files):
             raise error("something new")
-        return real(raw, files, now)
+        return real(raw, files)
 
     monkeypatch.setattr(snapshots, "validate_rows", sick)
     intake = read(files)
@@ -189,13 +189,12 @@ def test_a_file_nobody_foresaw_costs_itself_alone(error, good_flight, deliver, r
 
 UNDER_A_LIMIT = """
 import resource, sys
-from datetime import UTC, datetime
 from pathlib import Path
 from pipelines.intake.landing import list_landing
 from pipelines.intake.snapshots import read_snapshots
 held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (held + (600 << 20),) * 2)
-intake = read_snapshots(list_landing(Path(sys.argv[1])).files, datetime(2026, 1, 1, tzinfo=UTC))
+intake = read_snapshots(list_landing(Path(sys.argv[1])).files)
 print(sorted(set(intake.quarantine["reason"])), intake.rows.height)
 """
 

@@ -46,7 +46,7 @@ def mutilated(draw, content: bytes) -> bytes:
 def test_mutilated_csv_is_accounted_for(data, zone, good_flight, balanced):
     content = data.draw(mutilated(good_flight))
     (zone / CSV).write_bytes(content)
-    intake = balanced(read_snapshots(list_landing(zone).files, NOW))
+    intake = balanced(read_snapshots(list_landing(zone).files))
     if not set(intake.quarantine["scope"]) & {"file"} and b"\r" not in content:
         _, *rows = content.split(b"\n")
         assert intake.delivered["n_delivered"].sum() == sum(1 for line in rows if line.strip())
@@ -57,7 +57,7 @@ def test_mutilated_csv_is_accounted_for(data, zone, good_flight, balanced):
 def test_any_bytes_are_accounted_for(content, zone, balanced):
     (zone / CSV).write_bytes(content)
     files = list_landing(zone).files
-    balanced(read_snapshots(files, NOW))
+    balanced(read_snapshots(files))
     for read in (read_messages, read_maintenance, read_fleet):
         log = read(files[0], NOW)
         assert log.n_delivered == log.rows.height + log.n_duplicate + log.quarantine["n_rows"].sum()
@@ -89,7 +89,7 @@ def test_mutilated_parquet_is_accounted_for(data, tmp_path_factory, history, bal
     for _ in range(data.draw(st.integers(1, 8))):
         spoiled[data.draw(st.integers(0, len(spoiled) - 1))] = data.draw(st.integers(0, 255))
     path.write_bytes(bytes(spoiled)[: data.draw(st.sampled_from([len(spoiled)] * 5 + [len(spoiled) // 2]))])
-    balanced(read_snapshots(list_landing(root).files, NOW))
+    balanced(read_snapshots(list_landing(root).files))
 
 
 @pytest.fixture(scope="module")
