@@ -46,17 +46,25 @@ def run(*mains: Callable[..., Texts], page: Path = PAGE) -> None:
             add_option(own, name, parameter)
     options = vars(parser.parse_args())
     main, write = options.pop("main"), options.pop("write")
+    written_by = f"\n\n{origin()}" if write else ""
     for mark, text in main(**options):
-        show(mark, f"{text}\n\n{origin()}" if write else text, page, write=write)
+        show(mark, f"{text}{written_by}", page, write=write)
 
 
 def origin() -> str:
-    """Name the command that runs and the commit it runs on, for the table that it writes."""
-    describe = ["git", "describe", "--always", "--dirty", "--exclude=*"]
-    commit = subprocess.run(describe, cwd=DOCS, capture_output=True, text=True, check=True).stdout.strip()
+    """Name the command that runs and the commit it runs on, for the tables that it writes.
+
+    Pages do not count as changed sources: a table does not depend on the one written before it.
+    """
+    commit = _git("rev-parse", "--short=8", "HEAD")
+    changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/docs", ":!/README.md")
     module = sys.modules["__main__"].__spec__
     words = " ".join(["python -m", module.name if module else "", *sys.argv[1:]])
-    return f"Written by `{words}` at {commit}."
+    return f"Written by `{words}` at {commit}{'-dirty' if changed else ''}."
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=DOCS, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def add_option(parser: argparse.ArgumentParser, name: str, parameter: Parameter) -> None:
