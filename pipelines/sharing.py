@@ -23,7 +23,9 @@ import pyarrow.parquet as pq
 
 from pipelines.storage.catalog import CATALOG, connect, open_database
 from pipelines.storage.files import replacing_folder
-from pipelines.storage.publication import add_meanings, add_views, tables_read, views
+from pipelines.storage.naming import Name, names_in
+from pipelines.storage.ownership import names_of, select_rows
+from pipelines.storage.publication import add_meanings, add_named_views, tables_read, views
 
 FORMATS = ("parquet", "csv", "duckdb")
 MANIFEST = "export.json"
@@ -86,6 +88,15 @@ class AccessScope:
         texts = [c for c, t in frame.schema.items() if t == pl.String and c not in exempt and not c.endswith("_status")]
         return frame.with_columns(self._redact_text(pl.col(c)) for c in texts) if texts else frame
 
+    def redact_name(self, name: Name) -> Name:
+        """Return the name that a renamed airframe has in the reader's rows."""
+        if self.key is None:
+            return name
+        key, present, delivered = (
+            (operator, self.pseudonym(tail)) for operator, tail in (name.key, name.present, name.delivered)
+        )
+        return Name(key, present, self.pseudonym(name.flight_tail), delivered)
+
     def _flight(self, flight_id: str) -> str:
         parts = re.fullmatch(r"(.+)(_\d{8}_\d{2})", flight_id)
         return self.pseudonym(parts[1]) + parts[2] if parts else self._identity(flight_id)
@@ -140,6 +151,7 @@ def _aircraft(home: Path) -> set[tuple[str, str]]:
             for t in tables_read()
             if t.startswith("raw_") and t not in _STAYS_HOME
         ]
+        queries.append("select operator, tail from tables.names")
         return {(o, t) for o, t in con.execute(" union ".join(queries)).fetchall() if o and t}
 
 
@@ -149,23 +161,25 @@ def build(con: duckdb.DuckDBPyConnection, home: Path, scope: AccessScope) -> Non
     con.begin()
     con.execute("create schema tables")
     with connect(home) as source:
+        names = names_in(source)
         for table in tables_read():
-            _copy(source, con, table, scope)
+            _copy(source, con, table, scope, names)
             add_meanings(con, table)
-    add_views(con)
+    own_names = names if scope.operator is None else names_of(scope.operator, names)
+    add_named_views(con, [scope.redact_name(name) for name in own_names])
     con.commit()
 
 
-def _copy(source: duckdb.DuckDBPyConnection, con: duckdb.DuckDBPyConnection, table: str, scope: AccessScope) -> None:
+def _copy(
+    source: duckdb.DuckDBPyConnection, con: duckdb.DuckDBPyConnection, table: str, scope: AccessScope,
+    names: list[Name],
+) -> None:  # fmt: skip
     everything = source.sql(f"select * from tables.{table}")
     rows = everything
     if scope.operator is not None and table in _STAYS_HOME:
         rows = everything.limit(0)
     elif scope.operator is not None and table not in _OF_NO_AIRCRAFT:
-        own = "operator = $1"
-        if "file" in everything.columns:  # files refused before their operator was known lie in its folder
-            own = "operator = $1 or (coalesce(operator, '') = '' and starts_with(file, $1 || '/'))"
-        rows = source.sql(f"select * from tables.{table} where {own}", params=[scope.operator])
+        rows = source.sql(select_rows(table, everything.columns, scope.operator, names))
     columns = ", ".join(f'"{n}" {t}' for n, t in zip(everything.columns, everything.types, strict=True))
     con.execute(f"create table tables.{table} ({columns})")
     for batch in rows.to_arrow_reader(_BATCH_ROWS):

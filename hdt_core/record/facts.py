@@ -1,5 +1,7 @@
 """Facts of a flight that its judgement needs, each from its recorded rows alone."""
 
+from collections.abc import Sequence
+
 import polars as pl
 
 from hdt_core.flight.samples import CRUISE_FLOOR_M
@@ -10,6 +12,8 @@ AIRBORNE_MACH = 0.2
 """Mach number above which an aircraft flies. [-]"""
 SILENCE_S = 10_800
 """Reports come every 2 to 10 minutes; the longest gap of an intact flight in the sample fleet is 26 minutes. [s]"""
+GROUND_STOP_S = 1_200
+"""Longest time between airborne reports below cruise within a flight: a hold has reports, a turnaround none. [s]"""
 AIRPORTS = ("origin", "destination")
 
 
@@ -47,19 +51,31 @@ def flight_facts(rows: pl.DataFrame) -> pl.DataFrame:
         pl.col("hx_in_k").mean().alias("mean_hx_in_k"),
         pl.sum_horizontal(pl.col(SIGNALS).count()).cast(pl.Int64).alias("n_values"),
     )
-    with_stops = flights.join(_ground_stops(ordered), on=FLIGHT, how="left", validate="1:1")
-    with_steps = with_stops.join(_backward_steps(rows), on=FLIGHT, how="left", validate="1:1")
-    return with_steps.with_columns(pl.col("ground_stop_s", "clock_back_s", "n_steps_back").fill_null(0))
+    with_steps = flights.join(_backward_steps(rows), on=FLIGHT, how="left", validate="1:1")
+    return with_steps.with_columns(pl.col("clock_back_s", "n_steps_back").fill_null(0))
 
 
-def _ground_stops(ordered: pl.DataFrame) -> pl.DataFrame:
-    """Find the longest time between two airborne rows in a row that are both low: `ground_stop_s`, or no row."""
-    airborne = ordered.filter(pl.col("mach") > AIRBORNE_MACH, pl.col("altitude_m").is_not_null())
+def ground_stops(rows: pl.DataFrame, key: Sequence[str]) -> pl.DataFrame:
+    """Find the flights that were on the ground between two of their airborne reports.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        `key`, `time_utc`, `altitude_m`, `mach`; null where not recorded.
+    key : sequence of str
+        Columns that identify a flight.
+
+    Returns
+    -------
+    DataFrame
+        `key`, `ground_stop_s`: the longest time between two airborne reports in a row that are both low [s].
+    """
+    airborne = rows.filter(pl.col("mach") > AIRBORNE_MACH, pl.col("altitude_m").is_not_null()).sort(*key, "time_utc")
     is_low = pl.col("altitude_m") < CRUISE_FLOOR_M
-    both_low = is_low & is_low.shift()
-    gap_s = pl.when(both_low).then(pl.col("time_utc").diff().dt.total_seconds()).over(FLIGHT)
-    gaps = airborne.with_columns(gap_s.alias("gap_s"))
-    return gaps.group_by(FLIGHT).agg(pl.col("gap_s").max().alias("ground_stop_s"))
+    gap_s = pl.when(is_low & is_low.shift()).then(pl.col("time_utc").diff().dt.total_seconds())
+    flights = airborne.select(*key, gap_s.over(key).alias("gap_s")).group_by(key, maintain_order=True)
+    longest = flights.agg(pl.col("gap_s").max().alias("ground_stop_s"))
+    return longest.filter(pl.col("ground_stop_s") > GROUND_STOP_S)
 
 
 def _backward_steps(rows: pl.DataFrame) -> pl.DataFrame:

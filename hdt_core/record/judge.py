@@ -9,7 +9,7 @@ from datetime import datetime
 import polars as pl
 
 from hdt_core.flight.samples import CRUISE_FLOOR_M
-from hdt_core.record.facts import AIRBORNE_MACH
+from hdt_core.record.facts import AIRBORNE_MACH, SILENCE_S
 from hdt_core.record.overlap import overlapping
 from hdt_core.record.reach import out_of_reach
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
@@ -19,6 +19,8 @@ CLIMB_M = 1_000.0
 """Rise above its first altitude that only a flight makes; a field's pressure altitude changes by less. [m]"""
 CLOCK_BACK_S = 60
 """Step back of the clock in a flight from which on its times are wrong; rounding makes smaller ones. [s]"""
+DAY_S = 86_400
+"""Step back of a clock whose date was not advanced at midnight, but for the time between two reports. [s]"""
 FEW_STEPS = 3
 """Steps back in a file's order up to which a clock was set; a file in no order has more."""
 CONTINUES_S = 1_800
@@ -63,7 +65,9 @@ def _alone(flights: pl.DataFrame, now: datetime) -> pl.DataFrame:
         .when(~flies()).then(pl.lit("no_flight"))
         .when(set_back).then(pl.lit("clock_set_back"))
     )  # fmt: skip
-    return flights.select(*FLIGHT, reason.alias("reason")).drop_nulls("reason")
+    at_midnight = set_back & pl.col("clock_back_s").is_between(DAY_S - SILENCE_S, DAY_S)
+    cause = pl.when(at_midnight & (reason == "clock_set_back")).then(pl.lit("midnight"))
+    return flights.select(*FLIGHT, reason.alias("reason"), cause.alias("likely_cause")).drop_nulls("reason")
 
 
 def flies() -> pl.Expr:

@@ -92,7 +92,6 @@ class RawFlights(FlightTable):
     mean_tat_k = number("mean total air temperature", "K")
     mean_hx_in_k = number("mean heat exchanger hot-side inlet of the packs", "K")
     n_values = count("recorded values", nullable=True)
-    ground_stop_s = count("longest time between two airborne reports in a row that are both low", "s", nullable=True)
     clock_back_s = count("largest step back of the clock in the order of the file", "s", nullable=True)
     n_steps_back = count("steps back of the clock in the order of the file", nullable=True)
 

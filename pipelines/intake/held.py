@@ -61,5 +61,6 @@ def cause_in_words(cause: str) -> str:
         "month": _("another month"),
         "day_month_exchanged": _("day and month exchanged"),
         "default_date": _("a clock that was never set"),
+        "midnight": _("the date was not advanced at midnight"),
         "hours": _("a clock some hours off"),
     }.get(cause, cause)

@@ -17,6 +17,7 @@ SAME = 1e-6
 """Relative difference up to which two values are the same: a 32-bit float and the text it was printed from."""
 ACCOUNT = ("file", "flight_id")
 REPLACED_ROW = "replaced_row"
+SAME_TIME = "same_time"
 _PLACE = ("file", "row_in_file")
 
 
@@ -35,7 +36,8 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
     most rows wins as a whole, then with most values, then the file named after its flight, then by name. Its rows are
     stored, and those of the other that differ are quarantined as `conflicting_delivery`. Deliveries that agree complete
     each other, and of their rows of one key the one with most values is stored. So the stored rows depend on what was
-    delivered, never on when; all deliveries of a flight must be merged together.
+    delivered, never on when; all deliveries of a flight must be merged together. Of a file's own rows of one key one is
+    stored, and those that differ are quarantined as `same_time`.
 
     Parameters
     ----------
@@ -135,15 +137,18 @@ def _agrees(column: str) -> pl.Expr:
 def _conflict_rows(differing: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataFrame:
     """Make quarantine rows of conflicting rows, with their content in SI."""
     faults = []
-    first, rest = first_and_rest(differing.sort(*_PLACE, "flight_id", "differs"), ["file"], MAX_ROWS_LISTED)
+    same_file = pl.col("is_stored").fill_null(False) & (pl.col("file") == pl.col("file stored")).fill_null(False)
+    reason = pl.when(same_file).then(pl.lit(SAME_TIME)).otherwise(pl.lit("conflicting_delivery"))
+    with_reasons = differing.with_columns(reason.alias("reason")).sort(*_PLACE, "flight_id", "differs")
+    first, rest = first_and_rest(with_reasons, ["file", "reason"], MAX_ROWS_LISTED)
     for row in first.iter_rows(named=True):
         detail = f"It conflicts with row {row['row_in_file stored']} of {row['file stored']}."
         if not row["is_stored"]:
             detail = f"Its delivery conflicts with {row['winner']}, which does not hold this row."
         columns = row["differs"] if row["is_stored"] else None
-        fault = "conflicting_delivery", row["row_in_file"], columns, detail, 1, row["flight_id"], _content(row)
+        fault = row["reason"], row["row_in_file"], columns, detail, 1, row["flight_id"], _content(row)
         faults.append((row["file"], Fault(*fault)))
-    faults += [(f, Fault("conflicting_delivery", detail=f"And {n} more rows.", n_rows=n)) for f, n in rest.iter_rows()]
+    faults += [(f, Fault(reason, detail=f"And {n} more rows.", n_rows=n)) for f, reason, n in rest.iter_rows()]
     return _quarantine(faults, received_at)
 
 

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, time, timedelta
 
 import polars as pl
 
+from hdt_core.record.facts import SILENCE_S, ground_stops
 from pipelines.intake.columns import AIRPORTS, PHASE, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS, pressure_over_atmosphere
 from pipelines.intake.faults import MAX_ROWS_LISTED, Fault, first_and_rest
 from pipelines.intake.landing_file import EARLIEST, LandingFile, flight_day, flight_tail, is_history
@@ -16,8 +17,7 @@ EARLY, LATE = timedelta(hours=3), timedelta(hours=48)
 """Limits of a flight's times: 3 h before its UTC day begins (doors close before midnight) and 48 h after that."""
 AIRPORT = r"^[A-Z]{4}$"
 PHASES = ("TO", "CL", "CR", "DS", "AP", "GR")
-SILENCE = timedelta(hours=3)
-"""Reports come every 2 to 10 minutes; the longest gap of an intact flight in the sample fleet is 26 minutes."""
+IN_THE_AIR = ("altitude_ft", "mach")
 NO_FLIGHT = ("repeated_header", "bad_flight_id", "flight_id_contradicts_path")
 """Reasons that leave a row without a flight."""
 
@@ -183,7 +183,7 @@ def _notes(rows: pl.DataFrame, files: Sequence[LandingFile]) -> list[tuple[int, 
             notes.append((i, Fault("fewer_packs", None, "pack", detail)))
         if file.flight is None and not is_history(file.name):
             notes.append((i, Fault("flight_id_from_column")))
-    return notes + _clock_jumps(rows) + _implausible_pressure(rows)
+    return notes + _long_silences(rows) + _implausible_pressure(rows)
 
 
 def _implausible_pressure(rows: pl.DataFrame) -> list[tuple[int, Fault]]:
@@ -201,11 +201,36 @@ def _implausible_pressure(rows: pl.DataFrame) -> list[tuple[int, Fault]]:
     ]
 
 
-def _clock_jumps(rows: pl.DataFrame) -> list[tuple[int, Fault]]:
-    """Make a note for each flight whose reports, in order, are hours apart: the clock was set during it."""
-    longest = pl.col("report_time").sort().diff().max().alias("silence")
-    flights = rows.group_by("file_index", "flight_id").agg(longest).filter(pl.col("silence") > SILENCE)
-    return [
-        (i, Fault("clock_jump", None, "report_time", f"Longest silence: {silence}.", flight_id=flight))
-        for i, flight, silence in flights.sort("file_index", "flight_id").iter_rows()
+def _long_silences(rows: pl.DataFrame) -> list[tuple[int, Fault]]:
+    """Make a note for each flight that was on the ground in between, or whose reports are hours apart.
+
+    The clock was set during a flight of the second kind.
+    """
+    key = ["file_index", "flight_id"]
+    stops = ground_stops(_in_si(rows).rename({"report_time": "time_utc"}), key)
+    notes = [
+        (
+            i,
+            Fault(
+                "two_legs", None, "report_time", f"Nothing in the air for {seconds // 60} minutes.", flight_id=flight
+            ),
+        )
+        for i, flight, seconds in stops.iter_rows()
     ]
+    longest = pl.col("report_time").sort().diff().max().alias("silence")
+    flights = (
+        rows.group_by(key)
+        .agg(longest)
+        .filter(pl.col("silence").dt.total_seconds() > SILENCE_S)
+        .join(stops, on=key, how="anti")
+    )
+    return notes + [
+        (i, Fault("clock_jump", None, "report_time", f"Longest silence: {silence}.", flight_id=flight))
+        for i, flight, silence in flights.sort(key).iter_rows()
+    ]
+
+
+def _in_si(rows: pl.DataFrame) -> pl.DataFrame:
+    """Return what shows whether a flight is in the air, in SI."""
+    signals = [(pl.col(c.name) * c.scale + c.offset).alias(c.si_name) for c in SIGNAL_COLUMNS if c.name in IN_THE_AIR]
+    return rows.select("file_index", "flight_id", "report_time", *signals)

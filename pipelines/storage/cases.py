@@ -184,7 +184,9 @@ class CaseLog:
         if is_damaged:
             path.rename(path.with_name(f"{FILE}.damaged"))
             fault = f"{fault} ({FILE}.damaged)"
-        kept = [{k: v for k, v in row.items() if v is not None} for row in with_ids(stored).sort("line", "at").to_dicts()]
+        kept = [
+            {k: v for k, v in row.items() if v is not None} for row in with_ids(stored).sort("line", "at").to_dicts()
+        ]
         kept = [row | {"at": row["at"].isoformat(timespec="microseconds")} for row in kept]
         known = {row["id"] for row in kept}
         with self._writing() as con:

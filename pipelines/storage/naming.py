@@ -101,6 +101,12 @@ def add_names(con: duckdb.DuckDBPyConnection, names: Sequence[Name]) -> None:
         con.executemany(f"insert into tables.names values ({', '.join('?' * len(_NAMES))})", rows)
 
 
+def names_in(con: duckdb.DuckDBPyConnection) -> list[Name]:
+    """Read the table of names of an open catalog."""
+    rows = con.execute("select * from tables.names").fetchall()
+    return [Name((r[0], r[1]), (r[2], r[3]), r[4], (r[5], r[6])) for r in rows]
+
+
 def public_view(name: str, columns: Sequence[str]) -> str:
     """Give the SQL of a public view over that of the schema `airframes`, with names as delivered."""
     source = f"{SCHEMA}.{name} as v"

@@ -24,7 +24,16 @@ from pipelines.storage.catalog import CATALOG, nights_of, open_catalog, open_dat
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import hash_of, replacing
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.naming import SCHEMA, Name, add_names, columns_of, public_view, read_names, with_present_names
+from pipelines.storage.naming import (
+    SCHEMA,
+    Name,
+    add_names,
+    columns_of,
+    names_in,
+    public_view,
+    read_names,
+    with_present_names,
+)
 from pipelines.storage.objects import StoreError, message_of
 from pipelines.storage.seal import copy_ledger, find_night, remove_expired_daily, write_seal
 from pipelines.storage.store import EMPTY, Store
@@ -206,8 +215,7 @@ def _is_as_published(path: Path) -> bool:
 
 def _names_in(home: Path) -> list[Name]:
     with open_catalog(home) as con:
-        rows = con.execute("select * from tables.names").fetchall()
-    return [Name((r[0], r[1]), (r[2], r[3]), r[4], (r[5], r[6])) for r in rows]
+        return names_in(con)
 
 
 def create_views(
@@ -215,13 +223,22 @@ def create_views(
 ) -> set[str]:
     """Create every view over the files of each table, and the list of those files; return the tables.
 
-    Where airframes changed their names, the views of the schema `airframes` have the present ones, and public views
-    over them those as delivered. The views of `stored` read the rows that `_store_rows` stores.
+    The views of `stored` read the rows that `_store_rows` stores.
     """
     con.execute("create schema tables")
     con.execute("create table tables.files (path varchar)")
     con.execute("comment on column tables.files.path is 'a file that the views read, below the tables'' folder'")
     changed = update_files(con, store, tables, names)
+    add_named_views(con, names, stored)
+    return changed
+
+
+def add_named_views(con: duckdb.DuckDBPyConnection, names: Sequence[Name], stored: Collection[str] = ()) -> None:
+    """Create every view over the schema `tables`, whose rows name airframes by their present names.
+
+    Where airframes changed their names, these views lie in the schema `airframes`, and public views over them have the
+    names as delivered.
+    """
     add_names(con, names)
     if names:
         con.execute(f"create schema {SCHEMA}; set schema = '{SCHEMA}'")
@@ -232,7 +249,6 @@ def create_views(
         for view in views():
             con.execute(public_view(view, columns[view]))
         _comment_views(con)
-    return changed
 
 
 def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, names: Sequence[Name]) -> set[str]:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import duckdb
 import polars as pl
 import pytest
 from nights import keep_base, run
@@ -9,7 +10,8 @@ from polars.testing import assert_frame_equal
 from zones import Zone, simulated
 
 from pipelines.report.explain import explain
-from pipelines.storage.catalog import connect
+from pipelines.sharing import access_scope, export
+from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.store import Store
 
 FIRST, ANEW, LEASED = ("AQX", "LX-AAC"), ("AQX", "LX-ZZC"), ("BZR", "LX-AAC")
@@ -71,14 +73,24 @@ def under_one_name(sample_home, tmp_path_factory) -> dict[str, pl.DataFrame]:
     return tables(root / "home")
 
 
-@pytest.fixture(scope="module", params=[ANEW, LEASED], ids=["registered anew", "leased"])
-def renamed(request, sample_home, tmp_path_factory) -> tuple[Path, tuple[str, str]]:
-    root = tmp_path_factory.mktemp("renamed")
-    deliver(root / "landing", request.param)
-    fleet(root / "landing", line(FIRST), line(request.param))
+def home_of(root: Path, sample_home: Path, second: tuple[str, str]) -> Path:
+    deliver(root / "landing", second)
+    fleet(root / "landing", line(FIRST), line(second))
     keep_base(sample_home, root / "home")
     run(root / "landing", root / "home")
-    return root / "home", request.param
+    return root / "home"
+
+
+@pytest.fixture(scope="module")
+def leased_home(sample_home, tmp_path_factory) -> Path:
+    return home_of(tmp_path_factory.mktemp("leased"), sample_home, LEASED)
+
+
+@pytest.fixture(scope="module", params=[ANEW, LEASED], ids=["registered anew", "leased"])
+def renamed(request, sample_home, tmp_path_factory) -> tuple[Path, tuple[str, str]]:
+    if request.param == LEASED:
+        return request.getfixturevalue("leased_home"), LEASED
+    return home_of(tmp_path_factory.mktemp("renamed"), sample_home, request.param), request.param
 
 
 def test_history_follows_airframe(renamed, under_one_name):
@@ -112,6 +124,47 @@ def test_former_name_finds_airframe(renamed):
     home, name = renamed
 
     assert f"{name[0]} {name[1]}" in (explain(home, FIRST[1]) or "")
+
+
+@pytest.fixture(scope="module")
+def leased_exports(leased_home) -> dict[str, Path]:
+    """What each operator gets of an airframe that was leased."""
+    root = leased_home.parent
+    for operator, _ in (FIRST, LEASED):
+        export(leased_home, root / operator, access_scope(leased_home, operator, None), "duckdb")
+    return {operator: root / operator / CATALOG for operator, _ in (FIRST, LEASED)}
+
+
+@pytest.mark.parametrize("name", [FIRST, LEASED])
+def test_export_has_operators_own_flights(leased_exports, name):
+    delivered = leased_exports[name[0]].parents[1].joinpath("landing", *name, "acms").iterdir()
+
+    with duckdb.connect(str(leased_exports[name[0]]), read_only=True) as con:
+        rows = con.execute("select operator, tail, count(*) from flights group by all").fetchall()
+
+    assert rows == [(*name, len(list(delivered)))]
+
+
+def test_new_operator_gets_state_at_handover(leased_exports):
+    last = "select max(departed_at) from health_parameters"
+    first = "select min(departed_at) from health_parameters"
+    with (
+        duckdb.connect(str(leased_exports[FIRST[0]]), read_only=True) as former,
+        duckdb.connect(str(leased_exports[LEASED[0]]), read_only=True) as present,
+    ):
+        assert present.execute(first).fetchall() == former.execute(last).fetchall()
+
+
+def test_former_operator_gets_nothing_of_the_present_one(leased_exports):
+    with duckdb.connect(str(leased_exports[FIRST[0]]), read_only=True) as con:
+        ((last,),) = con.execute("select max(landed_at) from flights").fetchall()
+        tables = con.execute(
+            """select table_name from duckdb_columns()
+            where schema_name = 'tables' and column_name = 'departed_at' and not internal"""
+        ).fetchall()
+        later = [t for (t,) in tables if con.execute(f"from tables.{t} where departed_at > ?", [last]).fetchone()]
+
+    assert later == []
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,13 @@ def test_a_flight_is_judged_by_its_own_record(good, facts, reason):
     assert reasons(judge(good, listed([run]))).get(run["flight_id"]) == reason
 
 
+@pytest.mark.parametrize(("back_s", "cause"), [(86_400 - 300, "midnight"), (3_600, None)])
+def test_date_not_advanced_at_midnight_is_the_likely_cause(good, back_s, cause):
+    run = flight("LX-AA0", START + timedelta(days=3, hours=14), 4, clock_back_s=back_s, n_steps_back=1)
+
+    assert judge(good, listed([run]))["likely_cause"].to_list() == [cause]
+
+
 @pytest.mark.parametrize(("minutes", "reason"), [(-1, None), (1, "after_clock")])
 def test_what_lands_after_the_clock_waits(minutes, reason):
     landed_at = NOW + timedelta(minutes=minutes)

@@ -1,7 +1,7 @@
 """Classes of bad input that `test_dirty_landing` lacks: what was done to a good flight, what must become of it."""
 
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import polars as pl
@@ -29,6 +29,12 @@ class Case:
     n_stored: int = N
     column: str | None = None
     path: str = CSV
+
+
+def later(content: bytes, hours: int) -> bytes:
+    """The same reports, hours later."""
+    shift = timedelta(hours=hours)
+    return by.retimed(lambda t: (datetime.fromisoformat(t[:-1]) + shift).isoformat() + "Z")(content)
 
 
 KEEP = Case("good", lambda c: c, None)
@@ -107,6 +113,8 @@ CASES = [
     Case("fractions of a second", by.retimed(lambda t: t[:-1] + ".250Z"), None),
     Case("clock jumps on the way", lambda c: c[:3000] + by.retimed(lambda t: "2024-05-26T23" + t[13:])(c[3000:]),
          "clock_jump", column="report_time"),
+    Case("two legs under one flight_id", lambda c: c + b"".join(later(c, hours=3).splitlines(keepends=True)[1:]),
+         "two_legs", n_stored=2 * N, column="report_time"),
     Case("clock runs backwards, rows out of order", lambda c: by.joined([(x := by.fields_of(c))[0], *x[:0:-1]]), None),
     # identity
     Case("flight_id of no such day", lambda c: c.replace(b"_20240525_", b"_20240532_"), "bad_flight_id", N, 0),

@@ -7,7 +7,7 @@ import pytest
 from accounts import balances
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from spoils import field, parquet
+from spoils import field, parquet, retimed
 
 from pipelines.intake.columns import SIGNAL_COLUMNS
 from pipelines.intake.landing import list_landing
@@ -27,6 +27,18 @@ def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, de
     assert conflict["column_name"] == "hx_out_k"
     assert (CSV in conflict["detail"]) != (conflict["file"] == CSV)
     assert conflict["received_at"] is not None
+
+
+@pytest.mark.parametrize(
+    ("to_time", "n_stored"), [(lambda t: "2024-05-25T17:00:00Z", 2), (lambda t: t[:-3] + "00Z", 42)]
+)
+def test_reports_at_one_time_of_one_file_have_their_own_reason(good_flight, deliver, read, to_time, n_stored):
+    (file,) = deliver({CSV: retimed(to_time)(good_flight)})
+
+    merged = merge_deliveries([read([file]).rows], {})
+
+    assert merged.rows.height == n_stored
+    assert merged.quarantine["reason"].to_list() == ["same_time"] * (42 - n_stored)
 
 
 def test_a_flight_in_two_history_files_with_other_values(good_flight, deliver, read):
