@@ -7,7 +7,7 @@ from typing import Any
 
 import polars as pl
 
-from hdt_core.alerts.succession import KINDS_OF_NIGHT
+from hdt_core.alerts.succession import KINDS_OF_NIGHT, WITHDRAW
 from hdt_core.loading import UserError
 from pipelines.storage.cases import FAULTS, NO_FAULT, CaseLog
 from pipelines.storage.catalog import connect, fetch_dicts
@@ -240,12 +240,47 @@ def find_case(home: Path, name: str) -> dict[str, Any]:
     Raises
     ------
     UserError
-        No id, or those of several cases, start so.
+        No id, or those of several cases, start so; or its alert was withdrawn.
     """
     cases = (list_cases(home, NAMED, id=name) or list_cases(home, _NAMED_SO, id=name)) if name else []
+    withdrawn = [] if cases or not name else withdrawn_cases(home, lambda own: own.startswith(name))
+    if len(withdrawn) == 1:
+        raise UserError(f"alert {name}: {why_withdrawn(withdrawn[0])}")
     if len(cases) != 1:
         raise UserError(f"{'several alerts' if cases else 'no alert'} {name}; `hdt case list` names them")
     return cases[0]
+
+
+def withdrawn_cases(home: Path, is_asked: Callable[[str], bool]) -> list[dict[str, Any]]:
+    """Return cases whose alert a night found no longer raised, the last first.
+
+    Parameters
+    ----------
+    home : Path
+        Holds the log of cases.
+    is_asked : callable
+        Whether an id, of the case or of an alert that it had, is asked for.
+
+    Returns
+    -------
+    list of dict
+        The night's line in the log, a row of `raw_cases`, and `names`, the ids by which the case is known.
+    """
+    entries = CaseLog(home).entries()
+    of_nights = entries.filter(pl.col("kind").is_in(KINDS_OF_NIGHT)).sort("line", descending=True)
+    last_of_nights = of_nights.unique("case_id", keep="first", maintain_order=True)
+    alerts_of_case = dict(entries.group_by("case_id").agg(pl.col("alert_id").unique().sort()).iter_rows())
+    withdrawn = last_of_nights.filter(kind=WITHDRAW).to_dicts()
+    cases = [row | {"names": [row["case_id"], *alerts_of_case[row["case_id"]]]} for row in withdrawn]
+    return [case for case in cases if any(map(is_asked, case["names"]))]
+
+
+def why_withdrawn(case: Case) -> str:
+    """State when and why a night withdrew a case, a row of `withdrawn_cases`."""
+    return (
+        f"withdrawn by the night of {case['at']:%Y-%m-%d}: by the flights, limits and models of that night there is no"
+        " such alert any more"
+    )
 
 
 def history_of(home: Path, case: Case) -> list[dict[str, Any]]:

@@ -19,7 +19,19 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from pipelines.casework import ACTIONS, KINDS, NAMED, OPEN, RefusedError, change_case, findings, history_of, list_cases
+from pipelines.casework import (
+    ACTIONS,
+    KINDS,
+    NAMED,
+    OPEN,
+    RefusedError,
+    change_case,
+    findings,
+    history_of,
+    list_cases,
+    why_withdrawn,
+    withdrawn_cases,
+)
 from pipelines.digest.changes import Digest, changes_since
 from pipelines.digest.render import lines
 from pipelines.report import words
@@ -131,7 +143,7 @@ class Casebook:
         """Write a line about a case."""
         case, person = await self._find(request), request.state.person
         if case is None:
-            return self._none(request)
+            return await self._withdrawn(request, 409, "Nothing was written.")
         if not person.may_change:
             return self._message(request, 403, "A viewer changes nothing; ask an engineer.")
         async with request.form(max_files=0) as form:
@@ -162,7 +174,7 @@ class Casebook:
 
     async def _case(self, request: Request, case: Row | None, status: int = 200, message: str = "") -> Response:
         if case is None:
-            return self._none(request)
+            return await self._withdrawn(request, status, message)
         table, _digest = await _read(_read_shift, self.home)
         cards = {c["unit"]: c for c in table["cards"]}
         unit = (*words.unit_key(case), case["component"])
@@ -177,6 +189,18 @@ class Casebook:
             "findings": list(findings(case["component"])),
         }
         return self._page(request, "case.html", status, case=case, message=message, actions=ACTIONS, **context)
+
+    async def _withdrawn(self, request: Request, status: int, message: str) -> Response:
+        """Show a case whose alert a night withdrew; a link to it may be on an order or in a message."""
+        name, person = request.path_params["name"], request.state.person
+        cases = await run_in_threadpool(withdrawn_cases, self.home, lambda own: own == name)
+        case = next((c for c in cases if person.may_read(c["operator"])), None)
+        if case is None:
+            return self._none(request)
+        history = await run_in_threadpool(history_of, self.home, case)
+        title = f"{words.unit_name(case)}: {words.diagnosis(case['diagnosis'])}"
+        context = {"title": title, "case": case, "reason": why_withdrawn(case), "history": history}
+        return self._page(request, "withdrawn.html", status, message=message, **context)
 
     def _none(self, request: Request) -> Response:
         """Answer alike for a case that does not exist and for one of another operator."""

@@ -4,11 +4,20 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import polars as pl
 import pytest
+from asgi_client import Client
 from command import hdt
 
+from pipelines.storage.catalog import connect
+from pipelines.web.casebook import application
+from pipelines.web.guard import LOCAL
+from pipelines.web.sign_in import Person
+
+SOON = (datetime.now(UTC) + timedelta(days=5)).date().isoformat()
 SAMPLES = Path(__file__).parents[2] / "data_samples"
 
 
@@ -25,6 +34,29 @@ def another_aircraft(landing: Path, home: Path) -> None:
     (landing / "fleet.csv").write_text("\n".join([lines[0], *own]) + "\n")
 
 
+def redelivered(landing: Path, home: Path) -> None:
+    """The flight that raised the alert comes again, its pack's outlet six degrees colder."""
+    (alert_id,) = (row["alert_id"] for row in cases(home).values())
+    with connect(home) as con:
+        ((name, pack),) = con.execute(
+            "select raised_flight_id, pack from alerts where alert_id = ?", [alert_id]
+        ).fetchall()
+    (file,) = landing.glob(f"*/*/acms/{name}.csv")
+    rows = pl.read_csv(file)
+    is_own = pl.col("pack") == pack
+    rows.with_columns(pl.col("hx_out_degc") - 6.0 * is_own).write_csv(file)
+
+
+def no_rule(landing: Path, home: Path) -> None:
+    """As after an upgrade by which no wear is worth an alert."""
+    (home / "alerts.toml").write_text("fouling = 0.6\nfouling_soon = 0.6\n")
+
+
+def page(home: Path, name: str):
+    """What the page answers to the link of a case."""
+    return Client(application(home, LOCAL, lambda request: Person("Eng"))).get(f"/case/{name}")
+
+
 def cases(home: Path) -> dict[str, dict]:
     rows = json.loads(hdt("case", "list", "--home", home, "--json").stdout)
     return {row["case_id"]: row for row in rows if row["diagnosis"] == "HX_FOULING"}
@@ -36,18 +68,38 @@ def orders(home: Path, out: Path) -> set[str]:
         return {row["reference"] for row in csv.DictReader(file) if row["component"] == "HX"}
 
 
-@pytest.mark.parametrize("change", [new_rules, another_aircraft])
+def say(home: Path, *words: object) -> None:
+    assert hdt("case", *words, "--by", "Ada", "--home", home).returncode == 0
+
+
+@pytest.mark.parametrize("change", [new_rules, another_aircraft, redelivered])
 def test_a_case_keeps_its_owner_through_nights(own_home, tmp_path, change: Callable[[Path, Path], None]) -> None:
     landing, home = own_home
     before, numbers = cases(home), orders(home, tmp_path)
     for name in before:
-        assert hdt("case", "assign", name, "--to", "Bo", "--by", "Ada", "--home", home).returncode == 0
+        say(home, "assign", name, "--to", "Bo")
+        say(home, "mute", name, "--until", SOON, "--note", "exchanger on order")
     change(landing, home)
     assert hdt("nightly", "--landing", landing, "--home", home).returncode == 0
     after = cases(home)
     assert before.keys() <= after.keys()
-    assert {after[name]["owner"] for name in before} == {"Bo"}
+    assert {(after[name]["owner"], after[name]["mute_note"]) for name in before} == {("Bo", "exchanger on order")}
+    for name in before:
+        say(home, "reopen", name, "--note", "it came")
+    assert hdt("nightly", "--landing", landing, "--home", home).returncode == 0
     assert numbers <= orders(home, tmp_path)
     moved = [row for name, row in after.items() if name in before and row["alert_id"] != name]
     assert all(f"{name}  " in hdt("case", "show", before[name]["alert_id"], "--home", home).stdout for name in before)
-    assert moved or change is not new_rules
+    assert {page(home, row["alert_id"]).status_code for row in (*before.values(), *after.values())} == {200}
+    assert moved or change is another_aircraft
+
+
+def test_the_link_of_a_case_that_a_night_withdrew_answers(own_home) -> None:
+    landing, home = own_home
+    before = cases(home)
+    no_rule(landing, home)
+    assert hdt("nightly", "--landing", landing, "--home", home).returncode == 0
+    assert cases(home) == {}
+    answers = [page(home, name) for name in before]
+    assert {answer.status_code for answer in answers} == {200}
+    assert all("withdrawn by the night of" in answer.text for answer in answers)

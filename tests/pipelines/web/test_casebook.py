@@ -6,6 +6,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from ipaddress import ip_network
 from pathlib import Path
 from urllib.parse import quote
@@ -16,9 +17,10 @@ from asgi_client import Client
 from browsers import served
 from case_homes import case_home, publish_losses
 
+from hdt_core.alerts.succession import FOLLOW, WITHDRAW
 from pipelines.casework import find_case, history_of
 from pipelines.digest.changes import Digest
-from pipelines.storage.cases import FILE
+from pipelines.storage.cases import FILE, NIGHT, CaseLog
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.web import sign_in
 from pipelines.web.casebook import application
@@ -138,6 +140,37 @@ def test_a_night_shows_at_once(tmp_path):
     assert "20\N{NO-BREAK SPACE}% (18 to 22)" in client.get("/").text
     publish_losses(home, 0.3)
     assert "30\N{NO-BREAK SPACE}% (28 to 32)" in client.get("/").text
+
+
+@pytest.fixture
+def with_withdrawn(fresh_home):
+    """A home whose log holds a case that went on from alert `first` to alert `last`, and was withdrawn."""
+    log, ours = CaseLog(fresh_home), find_case(fresh_home, "wear") | {"alert_id": "first"}
+    log.append(ours, "assign", "Ada", {"assignee": "Bo", "note": "look at it"})
+    for kind in (FOLLOW, WITHDRAW):
+        log.append(
+            ours | {"alert_id": "last"}, kind, NIGHT, {"case_id": "first", "raised_then": "2024-03-05 00:00:00+00:00"}
+        )
+    return fresh_home
+
+
+@pytest.mark.parametrize("name", ["first", "last"])
+def test_the_link_of_a_withdrawn_case_answers_when_and_why(with_withdrawn, name):
+    client = Client(application(with_withdrawn, LOCAL, lambda request: Person("Eng")))
+    answer = client.get(f"/case/{name}")
+    assert answer.status_code == 200
+    assert f"withdrawn by the night of {datetime.now(UTC):%Y-%m-%d}" in answer.text
+    assert "raised 2024-03-05" in answer.text
+    assert "look at it" in answer.text
+
+
+def test_a_withdrawn_case_takes_no_line_and_is_shown_to_its_own_people_alone(with_withdrawn):
+    lines = CaseLog(with_withdrawn).last_line()
+    client = Client(application(with_withdrawn, LOCAL, lambda request: Person("Eng")))
+    assert say(client, "first", "acknowledge", lines).status_code == 409
+    assert CaseLog(with_withdrawn).last_line() == lines
+    other = Client(application(with_withdrawn, LOCAL, lambda request: Person("Else", operators=("BBB",))))
+    assert other.get("/case/first").status_code == 404
 
 
 def test_what_comes_from_another_page_changes_nothing(page, home):
