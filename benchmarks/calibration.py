@@ -13,6 +13,7 @@ import textwrap
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -163,9 +164,9 @@ def renewals(samples: pl.DataFrame, maintenance: pl.DataFrame, truth: pl.DataFra
     return results
 
 
-def one_fleet(seed: int) -> dict[str, float]:
+def one_fleet(seed: int, size: FleetSettings) -> dict[str, float]:
     """Every measure of one fleet."""
-    fleet = fleet_of(seed, SIZE)
+    fleet = fleet_of(seed, size)
     legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     dsm = calibrate(fleet.samples, legs, fleet.maintenance)
     design, at = envelope_of(seed)
@@ -211,9 +212,9 @@ def replicate_fleet(frame: pl.DataFrame, times: tuple[str, ...], tails: int, tur
     )
 
 
-def speed(tails: int = 50, flights: int = 2000) -> str:
-    """Calibration of a large fleet; its estimates of all flights; Figure 10's recursion against the closed form."""
-    fleet = fleet_of(1, replace(SIZE, flights=200))
+def speed(size: FleetSettings, tails: int, flights: int = 2000) -> str:
+    """Calibration of a fleet of so many aircraft, and the health of all its flights."""
+    fleet = fleet_of(1, replace(size, flights=200))
     legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     turns = flights // 200
     samples = replicate_fleet(fleet.samples, ("time_utc",), tails, turns)
@@ -231,9 +232,9 @@ def speed(tails: int = 50, flights: int = 2000) -> str:
     return markdown([["", "wall [s]", "CPU [s]"], *rows])
 
 
-def recursion() -> str:
+def recursion(size: FleetSettings) -> str:
     """Figure 10: warm against cold, and how far the answers are apart."""
-    fleet = fleet_of(1, replace(SIZE, tails=1))
+    fleet = fleet_of(1, replace(size, tails=1))
     legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     cruise = cruise_samples(fleet.samples.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi"))
     free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
@@ -302,13 +303,22 @@ def table(fleets: pl.DataFrame) -> str:
     return f"{note} any.\n\n{markdown([('measure', 'goal', 'measured'), *rows])}"
 
 
-def main(fleets: int = 40, first: int = 101, workers: int = 2) -> Texts:
-    """Fleets of seeds from `first` on."""
+def main(
+    fleets: int = 40,
+    first: int = 101,
+    workers: int = 2,
+    tails: int = SIZE.tails,
+    flights: int = SIZE.flights,
+    large: int = 50,
+) -> Texts:
+    """Fleets of seeds from `first` on; aircraft of an operator and their flights; aircraft of the one that is timed."""
+    size = replace(SIZE, tails=tails, flights=flights)
+    measure = partial(one_fleet, size=size)
     with ProcessPoolExecutor(workers) as pool:
-        rows = list(pool.map(one_fleet, range(first, first + fleets)))
+        rows = list(pool.map(measure, range(first, first + fleets)))
     yield "bars", table(pl.DataFrame(rows))
-    yield "recursion", recursion()
-    yield "speed", speed()
+    yield "recursion", recursion(size)
+    yield "speed", speed(size, large)
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def one_long_file(files: list[LandingFile], out: Path) -> LandingFile:
     return list_landing(out / "landing").files[0]
 
 
-def main(landing: Path = Path("data_samples")) -> Texts:
+def main(landing: Path = Path("data_samples"), rounds: int = ROUNDS) -> Texts:
     """Files of a landing zone."""
     files = [f for f in list_landing(landing).files if f.kind == "acms"]
     megabytes = sum(f.size for f in files) / 1e6
@@ -63,7 +63,7 @@ def main(landing: Path = Path("data_samples")) -> Texts:
             "peer, one long file": lambda: all_in_one([long], out),
             "ours, one long file": lambda: read_snapshots([long]).rows.write_parquet(out / "ours.parquet"),
         }
-        best = best_cpu_s(works, ROUNDS)
+        best = best_cpu_s(works, rounds)
     lines = [[f"{len(files)} files of one flight, {megabytes:.1f} MB; one of {long.size / 1e6:.1f} MB", "CPU [s]"]]
     lines += [[name, f"{seconds:.3f}"] for name, seconds in best.items()]
     for peer, own, claim in (

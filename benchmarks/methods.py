@@ -1,4 +1,4 @@
-"""The five methods by name: `python -m benchmarks.methods parts [--seeds N]`, on the paper's own parts.
+"""The five methods by name: `python -m benchmarks.methods parts [--seeds N] [--write]`, on the paper's own parts.
 
 Heat exchanger and compressor of simulated packs are calibrated on twelve flights and tracked over the next eighteen by
 each method by name, as a declared component is: the design with its declared priors, then every flight's loss, then
@@ -137,13 +137,13 @@ def row(component: str, method: str, results: list[Result], optimum: list[Result
             f"{np.abs((loss - best) / unit).max():.3f}", f"{1e3 * seconds:.0f}"]  # fmt: skip
 
 
-def parts(seeds: int = 4) -> Texts:
-    """Both parts of so many aircraft, by every method and by the chain."""
+def parts(seeds: int = 4, only: str = "") -> Texts:
+    """Both parts of so many aircraft, or `only` HX or CC, by every method and by the chain."""
     fleet = [aircraft(seed) for seed in range(102, 102 + seeds)]
     every, together = [p for a in fleet for p in packs(a)], [r for a in fleet for r in chain(a)]
     head = ["part", "method", "error of the loss", "its sd", "coverage of 90 %", "off nls [sd]", "CPU a flight [ms]"]
     lines = [head]
-    for component in (HX, CC):
+    for component in (c for c in (HX, CC) if only in ("", c.code)):
         own = [k for k, pack in enumerate(every) if pack.component is component]
         optimum = [follow(estimators()["nls"], every[k]) for k in own]
         lines.append(row(component.name, "nls", optimum, optimum))
@@ -155,7 +155,7 @@ def parts(seeds: int = 4) -> Texts:
                     lines.append(row(component.name, name + ending * (unpolished(method) != method), results, optimum))
         lines.append(row(component.name, "chain", [together[k] for k in own], optimum))
     note = f"{len(every)} parts of {seeds} aircraft; errors are means over {SIZE.flights - CALIBRATED_ON} flights."
-    yield "", f"{markdown(lines)}\n\n{note}"
+    yield "parts", f"{markdown(lines)}\n\n{note}"
 
 
 METHODS = ("nls", "pso", "ekf", "ukf", "pinn")

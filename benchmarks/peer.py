@@ -86,11 +86,11 @@ def _of_flight(own: pd.DataFrame, bias: np.ndarray, dsm: Dsm) -> float:
     return location(values) if len(values) else np.nan
 
 
-def main(rounds: int = 5) -> Texts:
-    """The claim."""
+def main(rounds: int = 5, flights: int = 250) -> Texts:
+    """The claim, on so many flights of each aircraft."""
     with TemporaryDirectory() as scratch:
         home = Path(scratch, "home")
-        list(write_fleet(Path(scratch), 11, FleetSettings(operators=2, tails=2, flights=250)))
+        list(write_fleet(Path(scratch), 11, FleetSettings(operators=2, tails=2, flights=flights)))
         nightly.run_night(Path(scratch, "landing"), home, Silent())
         store = Store(home)
         dsm = Dsm.from_dict(json.loads(store.read_table("calibration_dsm")["model"][0]))

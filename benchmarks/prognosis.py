@@ -181,12 +181,19 @@ def constant(prognoses: pl.DataFrame) -> pl.DataFrame:
     return prognoses.with_columns(rul_low=low, rul_flights=middle, rul_high=high, p_event_50=pl.lit(share))
 
 
-def main(fleets: int = 8, draws: int = 200, flights: int = SIZE.flights) -> Texts:
-    """So many fleets that score, and as many that teach the ablation; bootstrap draws; flights of an aircraft."""
-    size_of_fleet = replace(SIZE, flights=flights)
+SEED, FLEETS = 7, 20
+"""Of the simulated lives that teach the logistic hazard."""
+
+
+def main(
+    fleets: int = 8, draws: int = 200, flights: int = SIZE.flights, tails: int = SIZE.tails, taught_by: int = FLEETS
+) -> Texts:
+    """So many fleets that score, and as many that teach the ablation; bootstrap draws; flights of an aircraft, aircraft
+    of an operator; fleets of simulated lives that teach the logistic hazard."""
+    size_of_fleet = replace(SIZE, flights=flights, tails=tails)
     scored = list(flown(SCORED, fleets, size_of_fleet))
     counted = together([tally(f) for f in scored])
-    forecasts_of = {c: _pooled([forecasts(f, c) for f in scored]) for c in ("HX", "CC")}
+    forecasts_of = {c: _pooled([forecasts(f, c, taught_by) for f in scored]) for c in ("HX", "CC")}
     for same in ("base alone", "physics alone"):  # a compressor's product is the first passage of its base
         del forecasts_of["CC"][same]
     size = f"{fleets} fleets, {counted.flights:,} flights of two packs."
@@ -210,11 +217,9 @@ def _pooled(parts: list[dict[str, pl.DataFrame]]) -> dict[str, pl.DataFrame]:
 Array = NDArray[np.float64]
 CONTESTANTS = ("product", "base alone", "physics alone", "logistic hazard")
 TREND = ("level", "slope_30", "slope_100")
-SEED, FLEETS = 7, 20
-"""Of the simulated lives that teach the logistic hazard."""
 
 
-def forecasts(fleet: Frames, component: str) -> dict[str, pl.DataFrame]:
+def forecasts(fleet: Frames, component: str, taught_by: int) -> dict[str, pl.DataFrame]:
     """Judged prognoses of a component by contestant, with the failures on record when each flight's month began."""
     record = FleetRecord(fleet["features"], fleet["messages"], fleet["maintenance"])
     lives, base = record.lives(), shipped_base()
@@ -225,7 +230,7 @@ def forecasts(fleet: Frames, component: str) -> dict[str, pl.DataFrame]:
     rows = fleet_rows(track, PRIOR_RULES[component]).features
     by_contestant = {"product": product, "base alone": by_base, "physics alone": _physics(track, rows, component)}
     if component == "HX":
-        by_contestant["logistic hazard"] = _logistic(record, track, rows, component)
+        by_contestant["logistic hazard"] = _logistic(record, track, rows, component, taught_by)
     counted = [(month, _failures(record, month, component)) for month in record.months()]
     schema = {"month": pl.Date, "failures_on_record": pl.Int64}
     on_record = pl.DataFrame(counted, schema=schema, orient="row")
@@ -255,16 +260,18 @@ def _physics(track: Tracks, rows: Array, component: str) -> pl.DataFrame:
     return _prognoses(track, event_by(passage_hazards(by, PASSAGE_AHEAD)), component)
 
 
-def _logistic(record: FleetRecord, track: Tracks, rows: Array, component: str) -> pl.DataFrame:
+def _logistic(record: FleetRecord, track: Tracks, rows: Array, component: str, taught_by: int) -> pl.DataFrame:
     """A logistic hazard of each month, from simulated lives and the fleet's lives before it."""
     trend, month_at = _trend(rows), month_of(track.keys["departed_at"])
     by = np.full((len(rows), EDGES.size), np.nan)
+    simulated = _simulated(taught_by)
     for month in record.months():
         before = record.as_of(start_of(month))
         own = fleet_rows(tracks_as_of(track, start_of(month), before.lives(), component), PRIOR_RULES[component])
         use = (own.remaining >= 1) & ~np.isnan(own.features[:, INPUTS.index("level")])
         this_month = (month_at == month).to_numpy()
-        by[this_month] = _fitted(_trend(own.features[use]), own.remaining[use], own.failed[use])(trend[this_month])
+        on_record = _trend(own.features[use]), own.remaining[use], own.failed[use]
+        by[this_month] = _fitted(simulated, on_record)(trend[this_month])
     return _prognoses(track, by, component)
 
 
@@ -272,16 +279,19 @@ def _trend(rows: Array) -> Array:
     return np.nan_to_num(np.stack([rows[:, INPUTS.index(name)] for name in TREND], axis=1))
 
 
+Lives = tuple[Array, Array, NDArray[np.bool_]]
+"""Loss and its trend (rows, 3), flights left (rows,), whether the life ended in a failure (rows,)."""
+
+
 @cache
-def _simulated() -> tuple[Array, Array, NDArray[np.bool_]]:
-    lives = simulated_rows(SEED, FLEETS)
+def _simulated(fleets: int) -> Lives:
+    lives = simulated_rows(SEED, fleets)
     return _trend(lives.features), lives.remaining, lives.failed
 
 
-def _fitted(trend: Array, left: Array, failed: NDArray[np.bool_]):
+def _fitted(simulated: Lives, on_record: Lives):
     """P(event within EDGES flights) as a function of loss and trend."""
-    simulated = _simulated()
-    trend, left, failed = (np.concatenate(pair) for pair in zip(simulated, (trend, left, failed), strict=True))
+    trend, left, failed = (np.concatenate(pair) for pair in zip(simulated, on_record, strict=True))
     row, span, hit, exposure = at_risk(left, failed)
     model = make_pipeline(StandardScaler(), LogisticRegression(max_iter=200))
     model.fit(np.hstack([trend[row], np.eye(SPANS)[span]]), hit, logisticregression__sample_weight=exposure)

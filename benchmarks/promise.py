@@ -296,9 +296,10 @@ def table(tallies: Sequence[Tally], n: int, *, statuses: bool) -> str:
     return f"{markdown(lines)}\n\nExceptions: {sum(len(t.raised) for t in tallies)}."
 
 
-def report(problems: int = 140, seed: int = 0, no_polish: bool = False) -> Texts:
+def report(problems: int = 140, seed: int = 0, no_polish: bool = False, starts: int = STARTS) -> Texts:
     """The table, of the methods as they are or without least squares at their end."""
-    result = main(problems, [unpolished(e) if no_polish else e for e in estimators().values()], seed)
+    methods = [unpolished(e) if no_polish else e for e in estimators().values()]
+    result = main(problems, methods, seed, starts)
     for tally in result:
         print(tally.name, *tally.broken, *tally.raised, sep="\n  ")
     yield "methods alone" if no_polish else "promise of converged", table(result, problems, statuses=not no_polish)

@@ -1,12 +1,14 @@
-"""Sensitivity and specificity of the missing-physics assistant: `python -m benchmarks.terms [--seeds N ...]`.
+"""Sensitivity and specificity of the missing-physics assistant: `python -m benchmarks.terms [--seeds N ...] [--write]`.
 
 Whole nights over simulated fleets, each as it is and with water sprayed at the ram inlet, which the model lacks. Where
-a term is proposed it is accepted and the night made again. Printed: what is proposed; the residual from flight to
+a term is proposed it is accepted and the night made again. The table: what is proposed; the residual from flight to
 flight, on the flights after the commissioning window, which no calibration sees; and the bias and error of the loss
 against the truth, before and after. The fleet as it is shows what no model can do away with: sensors, weather, wear.
+`--write` puts the table into docs/theory.md.
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -14,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import polars as pl
 
-from benchmarks.harness import Texts, run
+from benchmarks.harness import DOCS, Texts, markdown, run
 from benchmarks.scale import Silent
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.records.keys import IN_ORDER, PACK
@@ -28,13 +30,17 @@ from pipelines.storage.settings import accept_terms
 from pipelines.storage.store import Store
 from pipelines.versions import baseline_cells
 
+SPRAY = 0.2
+"""Share of what saturating the ram air with water would cool it. [-]"""
+
 
 class Outcome(NamedTuple):
-    """Of a night: residual of flights held out, bias and mean absolute error of the loss."""
+    """Of a night: residual of flights held out, bias and mean absolute error of the loss, terms that it proposes."""
 
     residual: float
     bias: float
     error: float
+    proposed: str
 
 
 def residual(home: Path) -> float:
@@ -54,52 +60,50 @@ def errors(store: Store, truth: Path) -> tuple[float, float]:
     return float(off.mean()), float(np.abs(off).mean())
 
 
-def night(folder: Path) -> tuple[Outcome, pl.DataFrame]:
-    """Run a night; return its outcome and the proposed terms."""
+def night(folder: Path) -> tuple[Outcome, list[str]]:
+    """Run a night; return its outcome and the names of the proposed terms."""
     home = folder / "home"
     nightly.run_night(folder / "landing", home, Silent())
     store = Store(home)
     dsm = Dsm.from_dict(json.loads(store.read_table("calibration_dsm")["model"][0]))
-    now = Outcome(residual(home), *errors(store, folder / "truth"))
-    terms_proposed = propose_terms(home, dsm).filter("proposed")
-    terms = {name: round(value, 3) for name, value in dsm.terms.items()}
-    print(f"  has {terms}: residual {now.residual:.4f}, loss off by {now.bias:+.4f}, {now.error:.4f} absolute")
-    print("  proposed:", terms_proposed.select("term", "value", "sd", "bic_gain", "held_out_change").rows(), flush=True)
-    return now, terms_proposed
+    proposed = propose_terms(home, dsm).filter("proposed")
+    rows = proposed.select("term", "value", "sd").iter_rows()
+    words = ", ".join(f"{name} {value:.3f} ± {sd:.3f}" for name, value, sd in rows)
+    now = Outcome(residual(home), *errors(store, folder / "truth"), words or "none")
+    return now, proposed["term"].to_list()
 
 
-def fleet(seed: int, missing: dict[str, float]) -> list[Outcome]:
+def fleet(seed: int, missing: dict[str, float], size: FleetSettings) -> list[Outcome]:
     """One fleet: night, proposal, and the night again where a term was accepted."""
-    print(f"seed {seed}, missing {missing}")
     with TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        list(write_fleet(folder, seed, FleetSettings(operators=2, tails=3, flights=200, missing=missing)))
-        outcome, terms_proposed = night(folder)
-        if not terms_proposed.height:
+        list(write_fleet(folder, seed, replace(size, missing=missing)))
+        outcome, terms = night(folder)
+        if not terms:
             return [outcome]
-        accept_terms(folder / "home", terms_proposed["term"].to_list())
+        accept_terms(folder / "home", terms)
         return [outcome, night(folder)[0]]
 
 
-def compare(seed: int) -> str:
-    """Compare a fleet as it is with one that has a term the model lacks."""
-    floor, lacking = fleet(seed, {})[0], fleet(seed, {"water_spray": 0.2})
-    before, after = lacking[0], lacking[-1]
-    left = max(after.residual**2 - floor.residual**2, 0.0)
-    explained = 1.0 - np.sqrt(left / (before.residual**2 - floor.residual**2))
-    return (
-        f"seed {seed}: residual held out {after.residual / before.residual - 1.0:+.0%} ({before.residual:.4f} to "
-        f"{after.residual:.4f}, {floor.residual:.4f} where nothing is missing: {explained:.0%} of it explained); "
-        f"bias of the loss {before.bias:+.4f} to {after.bias:+.4f} ({floor.bias:+.4f} where nothing is missing), "
-        f"error {before.error:.4f} to {after.error:.4f} ({floor.error:.4f})"
-    )
+def compare(seed: int, size: FleetSettings) -> list[str]:
+    """Compare a fleet as it is with one that has a term the model lacks; a row of the table."""
+    floor = fleet(seed, {}, size)[0]
+    lacking = fleet(seed, {"water_spray": SPRAY}, size)
+    outcomes = lacking[0], lacking[-1], floor
+    figures = [f"{outcome.residual:.4f}" for outcome in outcomes]
+    biases = ", ".join(f"{outcome.bias:+.3f}" for outcome in outcomes)
+    mean_errors = ", ".join(f"{outcome.error:.3f}" for outcome in outcomes)
+    return [f"{seed}", lacking[0].proposed, floor.proposed, *figures, biases, mean_errors]
 
 
-def main(seeds: tuple[int, ...] = (1, 2, 3)) -> Texts:
-    """Fleets of these seeds."""
-    for seed in seeds:
-        yield "", compare(seed)
+def main(seeds: tuple[int, ...] = (1, 2, 3), tails: int = 3, flights: int = 200) -> Texts:
+    """Fleets of these seeds; aircraft of an operator and their flights."""
+    size = FleetSettings(operators=2, tails=tails, flights=flights)
+    head = ["fleet", "proposed", "where nothing is missing", "residual before", "accepted", "nothing missing"]
+    triple = "before, accepted, nothing missing"
+    lines = [[*head, f"bias of the loss {triple}", f"error of the loss {triple}"]]
+    yield "terms", markdown(lines + [compare(seed, size) for seed in seeds])
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, page=DOCS / "theory.md")

@@ -161,7 +161,7 @@ def tables(results: list[Fleet], draws: int) -> str:
     cost = (
         f"{len(results)} fleets, {sum(f.flights for f in results)} flights; estimation and tracking take {rate:.0f} s"
     )
-    cost += " of one core for 100,000 flights, both packs, exchanger and compressor."
+    cost += " of one processor for 100,000 flights, both packs, exchanger and compressor."
     reads = [["hx_fouling as read by", "mean absolute error", "least interval score of a constant width"]]
     reads += [[n, f"{e:.4f}", f"{s:.3f}"] for n, e, s in limits(rows)]
     return f"{markdown(lines)}\n\n{cost}\n\n{markdown(reads)}"

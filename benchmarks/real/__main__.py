@@ -8,7 +8,7 @@ import os
 import time
 from pathlib import Path
 
-from benchmarks.harness import DOCS, arguments, put
+from benchmarks.harness import DOCS, add_write, arguments, origin, put
 from benchmarks.real import cmapss, filters, hydraulic, lives, skab
 from benchmarks.real.recipe import PAGE, described, plotted
 
@@ -19,7 +19,9 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--data", type=Path, default=os.environ.get("HDT_REFERENCE"))
     parser.add_argument("--only", nargs="*", choices=[r.name for r in RECIPES])
+    add_write(parser)
     options = parser.parse_args()
+    written_by = origin()
     if options.data is None or not Path(options.data).is_dir():
         parser.error(
             "name the folder that holds the data sets with --data DIR or HDT_REFERENCE; docs/real.md says which"
@@ -33,7 +35,7 @@ def main() -> None:
         print(f"{text}\n\n({time.monotonic() - began:.0f} s)\n", flush=True)
         if options.write:
             plot = plotted(recipe, result, DOCS / "plots") if result else None
-            put(recipe.name, described(recipe, result, plot), PAGE)
+            put(recipe.name, f"{described(recipe, result, plot)}\n\n{written_by}", PAGE)
 
 
 if __name__ == "__main__":

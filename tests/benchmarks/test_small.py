@@ -10,6 +10,7 @@ from benchmarks import small
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+WRITTEN_BY = re.compile(r"Written by `python -m benchmarks\.[^`]+`(?: at|, stored in) [0-9a-f]{8}\.\s*$")
 TABLE = """
 ## scores
 
@@ -27,7 +28,7 @@ def named_commands() -> set[str]:
 
 def test_each_documented_command_has_a_small_run():
     listed = tomllib.loads((ROOT / "benchmarks/small.toml").read_text(encoding="utf-8"))
-    known = [*listed["commands"].values(), *listed["elsewhere"]]
+    known = [*small.COMMANDS.values(), *small.OF_TIMES.values(), *listed["elsewhere"]]
 
     missing = {c for c in named_commands() if not any(k.startswith(c.replace("  ", " ")) for k in known)}
 
@@ -54,6 +55,26 @@ def test_figures_of_a_line_are_compared():
     lines = small.moved(small.cells("tied H of 1.0: 3355"), small.cells("tied H of 1.0: 3400"))
 
     assert len(lines) == 1
+
+
+def test_cells_below_a_nameless_head_keep_their_columns():
+    cells = small.cells("## scores\n|  | nls | ukf |\n| --- | ---: | ---: |\n| damping | 0.1 |  |\n")
+
+    assert cells == {("scores", "damping", 0, "nls"): "0.1", ("scores", "damping", 0, "ukf"): ""}
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda p: p.stem)
+def test_written_table_names_its_command_and_commit(page):
+    marked = re.findall(r"<!-- ([\w ]+): begin -->(.*?)<!-- \1: end -->", page.read_text(encoding="utf-8"), re.DOTALL)
+
+    without = [mark for mark, text in marked if not WRITTEN_BY.search(text)]
+
+    assert without == []
+
+
+@pytest.mark.parametrize("name", small.OF_TIMES)
+def test_command_of_times_ends_well(name):
+    assert small.run(name)
 
 
 @pytest.mark.parametrize("name", small.COMMANDS)
