@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, nullcontext
 from pathlib import Path
 
@@ -46,6 +47,24 @@ def ledger(request, tmp_path, monkeypatch) -> Iterator[Ledger]:
 
 def _cells(*rows: tuple[str, str, str, str]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=["operator", "tail", "flight_id", "version"], orient="row")
+
+
+@pytest.mark.parametrize(
+    ("held", "asked", "waits"), [(True, True, False), (True, False, True), (False, True, True), (False, False, True)]
+)
+def test_runs_store_beside_a_night_or_alone(ledger, held, asked, waits):
+    """Turns that both share overlap; a turn alone waits for every other, and they for it."""
+
+    def store() -> None:
+        with ledger.turn(shared=asked):
+            pass
+
+    with ThreadPoolExecutor(1) as pool:
+        with ledger.turn(shared=held):
+            other = pool.submit(store)
+            done, _ = wait([other], timeout=0.3 if waits else 30)
+            assert bool(done) != waits
+        other.result(30)
 
 
 def test_what_is_registered_is_known_and_nights_are_told_in_order(ledger):

@@ -1,9 +1,13 @@
 """Databases of a test's own, where HDT_TEST_POSTGRES names a server."""
 
 import os
+import sqlite3
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from pipelines.storage.ledger import FILE, NAMES, Ledger
 
 SERVER = os.environ.get("HDT_TEST_POSTGRES", "")
 
@@ -22,3 +26,12 @@ def new_database() -> Iterator[str]:
     finally:
         admin.cursor().execute(f"drop database {name} with (force)")
         admin.close()
+
+
+def copy_ledger_to(home: Path, url: str) -> None:
+    """Copy a home's ledger from its file into the database at `url`."""
+    with closing(sqlite3.connect(home / FILE)) as file, Ledger(home, url=url)._write(settled=True) as con:
+        for name in NAMES:
+            rows = file.execute(f"select * from {name}").fetchall()
+            if rows:
+                con.executemany(f"insert into {name} values ({', '.join('?' * len(rows[0]))})", rows)
