@@ -72,6 +72,15 @@ def test_written_table_names_its_command_and_commit(page):
     assert without == []
 
 
+def test_readme_names_the_run_that_its_figures_come_from():
+    readme = re.search(
+        r"Written by `python -m benchmarks\.prognosis.*", (ROOT / "README.md").read_text(encoding="utf-8")
+    )
+
+    assert readme
+    assert readme[0] in (ROOT / "docs/prognosis.md").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("name", small.OF_TIMES)
 def test_command_of_times_ends_well(name):
     assert small.run(name)
