@@ -17,6 +17,7 @@ from pathlib import Path
 
 import polars as pl
 
+from hdt_core.alerts.succession import KINDS_OF_NIGHT
 from hdt_core.tables import TABLES
 from pipelines.storage.store import Store
 
@@ -52,10 +53,18 @@ def fingerprint(home: Path, *url: str) -> dict[str, str]:
     """Hash of every table's rows, sorted; of the home's store, or of that at `url`.
 
     Of a fitted model its `model_version`, which is a hash of what it knows: the archive holds the hour it was packed,
-    card and service what was in service before.
+    card and service what was in service before. Of the log of cases what people wrote: a night's own lines are of what
+    moved on the way.
     """
     store = Store(home, *url)
-    return {table: _hash(store.read_table(table).drop("card", "service", strict=False)) for table in TABLES}
+    return {table: _hash(_lasting(table, store.read_table(table))) for table in TABLES}
+
+
+def _lasting(table: str, rows: pl.DataFrame) -> pl.DataFrame:
+    """Return what does not depend on the nights between."""
+    if table == "raw_cases":
+        return rows.filter(~pl.col("kind").is_in(KINDS_OF_NIGHT))
+    return rows.drop("card", "service", strict=False)
 
 
 def _hash(frame: pl.DataFrame) -> str:

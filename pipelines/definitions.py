@@ -15,7 +15,7 @@ from dagster_batched.runs import batch_events
 from hdt_core.loading import UserError
 from pipelines.assets import asset_definitions
 from pipelines.assets.stage import SENSORS
-from pipelines.intake.landing import list_new_files
+from pipelines.intake.scan import list_new_files
 from pipelines.orchestration.around_night import find_home_fault, find_landing_fault, lock_home
 from pipelines.orchestration.nightly import complete_night
 from pipelines.resources import Home

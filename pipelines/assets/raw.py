@@ -16,10 +16,11 @@ from pipelines.intake.faults import NO_FAULTS, quarantine
 from pipelines.intake.findings import CASE, costs_or_fault, with_findings
 from pipelines.intake.findings import NAME as COSTS_FILE
 from pipelines.intake.ingest import ingest_flights, landing_files, register_unread
-from pipelines.intake.landing import WITHOUT_FLIGHT, list_landing
+from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.intake.logs import is_done, or_stored, read_checks, read_fleet, read_maintenance, read_messages
 from pipelines.intake.readers import REPORTS, TYPES, readers
+from pipelines.intake.scan import WITHOUT_FLIGHT
 from pipelines.intake.snapshots import read_snapshots
 from pipelines.lineage import LINEAGE, STAGE
 from pipelines.resources import Home, PartitionScope

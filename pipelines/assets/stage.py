@@ -110,7 +110,7 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         metadata = result.metadata
 
         def quarantine(table: str, rows: pl.DataFrame) -> None:
-            with storing(ledger, scope, table, versions[table], context.run_tags):
+            with storing(ledger, scope, table, versions[table], context.run.tags):
                 store_broken_rows(store, ledger, scope, table, rows)
 
         for table, frame in zip(declaration.tables, result.frames, strict=True):

@@ -18,9 +18,10 @@ from pipelines.intake.faults import REASONS, ignored_entries, refused_logs, sile
 from pipelines.intake.findings import NAME as NAME_OF_COSTS
 from pipelines.intake.findings import CostError, read_costs
 from pipelines.intake.held import HELD_GROUPS, held_flights, held_lines
-from pipelines.intake.landing import list_landing, list_new_files
+from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.readers import TYPES, readers
+from pipelines.intake.scan import list_new_files
 from pipelines.intake.snapshots import read_snapshots
 from pipelines.lineage import FLIGHT_FILES
 from pipelines.orchestration.around_night import find_landing_fault

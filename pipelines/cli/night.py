@@ -141,7 +141,7 @@ def tidy(
 
 
 def _print_new_files(landing: Path, home: Path, as_json: bool) -> None:
-    from pipelines.intake.landing import list_new_files
+    from pipelines.intake.scan import list_new_files
     from pipelines.storage.ledger import Ledger
 
     files, new = list_new_files(landing, Ledger(home, read_only=True))

@@ -43,10 +43,11 @@ def ingest_flights(
     landing: Path, store: Store, ledger: Ledger, aircraft: tuple[str, str], flights: list[str]
 ) -> IngestResult:
     """Read every file that holds one of `flights` and merge its rows with those stored of removed files."""
-    flight_files = ledger.of([aircraft]).flight_files().filter(pl.col("kind").is_in(FLIGHT_FILES))
+    own_files = ledger.of([aircraft]).flight_files()
+    flight_files = own_files.filter(pl.col("kind").is_in(FLIGHT_FILES))
     carriers = flight_files.group_by("path").agg(pl.col("flight_id").min().alias("carrier")).rename({"path": "file"})
     files = landing_files(landing, flight_files.filter(pl.col("flight_id").is_in(flights)))
-    stored_rows = StoredRows(store, aircraft, flights, [f.path for f in files], flight_files["path"].unique().to_list())
+    stored_rows = StoredRows(store, aircraft, flights, [f.path for f in files], own_files["path"].unique().to_list())
     packs = stored_rows.packs()
     intake = read_snapshots([replace(f, packs_stored=packs.get(f.path, 0)) for f in files])
     of_files = flight_files.filter(pl.col("flight_id").is_in(flights))

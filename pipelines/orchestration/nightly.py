@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 import polars as pl
 
 from pipelines.intake.faults import ignored_entries
-from pipelines.intake.landing import find_loss, scan
+from pipelines.intake.scan import find_loss, scan
 from pipelines.lineage import STAGES, Stage, Step, steps
 from pipelines.orchestration.around_night import call_hooks, notify_receivers
 from pipelines.orchestration.local_executor import LocalExecutor, equivalent_flights, sends_out
@@ -161,7 +161,8 @@ def run_night(
         chain.settled_version = ledger.settled_version()
         for step in () if ledger.is_settled(recipe_version(ledger, STAGES)) else steps(STAGES):
             chain.step(step)
-    if loss := find_loss(landing, zone, ledger.file_records() if chain.runs else {}):
+    may_lack_files = chain.runs or not zone.files
+    if loss := find_loss(landing, zone, ledger.file_records() if may_lack_files else {}):
         chain.failed["landing zone"] = loss
     if only is None and not chain.failed:
         ledger.settle(recipe_version(ledger, STAGES))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from command import hdt
+from nights import steps_up_to
 from soundness import faults, state
 from sqlalchemy.exc import OperationalError
 
@@ -145,8 +146,11 @@ def test_a_cut_would_tell_if_files_were_not_synced(tiny, children, tmp_path):
     """The simulated cut bites: with syncing off, the ledger speaks of files that are gone."""
     home = children.home(tmp_path / "home")
     cut = {"sync": False}
-    assert children.night(tiny.landing, home, fault="before_mark:18", steps=3, cut=cut)[0] == signal.SIGKILL
-    children.night(tiny.landing, home, steps=3)
+    assert (
+        children.night(tiny.landing, home, fault="before_mark:18", steps=steps_up_to("legs"), cut=cut)[0]
+        == signal.SIGKILL
+    )
+    children.night(tiny.landing, home, steps=steps_up_to("legs"))
     assert fingerprint(home)["raw_snapshots"] != tiny.end["raw_snapshots"]
 
 

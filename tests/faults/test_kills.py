@@ -13,6 +13,7 @@ from itertools import count
 import dagster as dg
 import duckdb
 import pytest
+from nights import steps_up_to
 from soundness import faults, state
 
 from benchmarks.fault_points import POINTS, fingerprint
@@ -42,9 +43,9 @@ def test_killed_at_a_named_place_of_the_intake(tiny, children, intact, tmp_path,
     """The place that writes what was delivered: rows may be stored and not yet accounted for."""
     home = children.home(tmp_path / "home")
     nth = 1 if "register" in point or "publish" in point else 9
-    assert children.night(tiny.landing, home, fault=f"{point}:{nth}", steps=3)[0] == signal.SIGKILL
+    assert children.night(tiny.landing, home, fault=f"{point}:{nth}", steps=steps_up_to("legs"))[0] == signal.SIGKILL
     intact(home)
-    assert children.night(tiny.landing, home, steps=3) == (0, "")
+    assert children.night(tiny.landing, home, steps=steps_up_to("legs")) == (0, "")
     stored = fingerprint(home)
     delivered = [t for t in stored if t.startswith(("raw_", "legs_samples", "legs_verdicts"))]
     assert {t: stored[t] for t in delivered} == {t: tiny.end[t] for t in delivered}
@@ -88,7 +89,7 @@ def test_asked_to_stop(tiny, children, intact, tmp_path):
 
 def test_readers_never_meet_a_half_published_catalog(tiny, children, tmp_path):
     home = children.home(tmp_path / "home")
-    assert children.night(tiny.landing, home, steps=3) == (0, "")
+    assert children.night(tiny.landing, home, steps=steps_up_to("legs")) == (0, "")
     over, answers = threading.Event(), []
 
     def read() -> None:

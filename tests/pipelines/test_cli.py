@@ -19,7 +19,7 @@ from hdt_core.simulate.design import FleetSettings
 from pipelines.cli import load_extensions
 from pipelines.cli.base import ORDER, app
 from pipelines.cli.make import DEMO
-from pipelines.intake.landing import scan
+from pipelines.intake.scan import scan
 from pipelines.orchestration.around_night import lock_home
 from pipelines.report.words import finding, tidy
 from pipelines.storage.catalog import connect

@@ -14,7 +14,7 @@ from spoils import Spoil, column, field, fields_of, joined
 
 from pipelines.intake import landing as landing_module
 from pipelines.intake.ingest import ingest_flights
-from pipelines.intake.landing import list_new_files, scan
+from pipelines.intake.scan import list_new_files, scan
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 
@@ -319,5 +319,5 @@ def test_file_that_could_not_be_opened_is_new_later(zone, monkeypatch):
 
 def test_files_untouched_since_the_last_night_are_not_read(zone, taken_in, monkeypatch):
     zone.ledger.note_night(("2100-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
-    monkeypatch.setattr("pipelines.intake.landing._digest", None)
+    monkeypatch.setattr("pipelines.intake.scan._digest", None)
     assert list_new_files(zone.landing, zone.ledger)[1] == []

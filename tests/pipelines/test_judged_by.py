@@ -9,8 +9,9 @@ from spoils import column, field
 
 from hdt_core.tables import TABLES
 from pipelines.intake.ingest import ingest_flights
-from pipelines.intake.landing import list_landing, scan
+from pipelines.intake.landing import list_landing
 from pipelines.intake.logs import read_fleet, read_messages
+from pipelines.intake.scan import scan
 from pipelines.lineage import STAGE
 from pipelines.resources import FrameIO, PartitionScope
 from pipelines.storage.ledger import Ledger

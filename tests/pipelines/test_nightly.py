@@ -121,7 +121,7 @@ def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, monkeypatch)
     assert list(night.failed) == ["flights: AQX:LX-AAB"]
     assert "disk on fire" in next(iter(night.failed.values()))
     with connect(home) as con:
-        stored = {f for (f,) in con.execute("select flight_id from flights").fetchall()}
+        stored = {f for (f,) in con.execute("select flight_id from tables.raw_flights").fetchall()}
     assert added[1] in stored
     assert added[0] not in stored
     monkeypatch.undo()

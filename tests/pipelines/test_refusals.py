@@ -24,7 +24,8 @@ from pipelines.intake.faults import (
     silent_lines,
 )
 from pipelines.intake.ingest import ingest_flights
-from pipelines.intake.landing import list_landing, scan
+from pipelines.intake.landing import list_landing
+from pipelines.intake.scan import scan
 from pipelines.orchestration.nightly import Night
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger

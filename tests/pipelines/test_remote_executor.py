@@ -138,7 +138,7 @@ def test_an_aircraft_that_fails_is_told_and_the_others_are_made(fleet, monkeypat
     assert others == []
     assert where == f"flights: {':'.join(operator.parts[-2:])}"
     assert "Not a directory" in why or "exists" in why
-    assert fleet.rows("select count(distinct tail) from done where asset = 'legs_samples'") == [(3,)]
+    assert fleet.rows("select count(distinct tail) from done where asset = 'raw_snapshots'") == [(3,)]
 
 
 def _night(landing: Path, home: Path) -> None:

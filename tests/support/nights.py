@@ -40,6 +40,11 @@ def stages_of(first: int, last: int | None = None, stages: Sequence[Stage] = STA
     return [stage for step in steps(stages)[first:last] for stage in step.stages]
 
 
+def steps_up_to(stage: str) -> int:
+    """Number of the night's first steps, that of a stage the last."""
+    return 1 + next(i for i, step in enumerate(steps(STAGES)) if stage in {s.name for s in step.stages})
+
+
 def unfolded(stages: Sequence[Stage]) -> list[Stage]:
     """The same, each run with as many flights as one that reads files."""
     return [replace(stage, batch_factor=1) for stage in stages]
