@@ -9,6 +9,7 @@ from datetime import datetime
 import polars as pl
 
 from hdt_core.flight.samples import CRUISE_FLOOR_M
+from hdt_core.record.exchange import exchanged_packs
 from hdt_core.record.facts import AIRBORNE_MACH, SILENCE_S
 from hdt_core.record.overlap import overlapping
 from hdt_core.record.reach import out_of_reach
@@ -48,7 +49,7 @@ def judge_flights(flights: pl.DataFrame, delivered_on: pl.DataFrame, now: dateti
     """
     held = [_alone(flights, now)]
     rest = flights.join(held[0], on=FLIGHT, how="anti")
-    for judge in (_continuations, overlapping, lambda own: _out_of_reach(own, delivered_on)):
+    for judge in (_continuations, overlapping, lambda own: _out_of_reach(own, delivered_on), exchanged_packs):
         found = judge(rest)
         held.append(found)
         rest = rest.join(found, on=FLIGHT, how="anti")

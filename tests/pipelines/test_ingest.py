@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 from spoils import Spoil, column, field, fields_of, joined
 
-from pipelines.intake import landing as landing_module
+from pipelines.intake import scan as scan_module
 from pipelines.intake.ingest import ingest_flights
 from pipelines.intake.scan import list_new_files, scan
 from pipelines.storage.ledger import Ledger
@@ -223,13 +223,13 @@ def test_a_file_changed_at_the_same_size_and_time_is_noticed(zone, taken_in):
 @pytest.fixture
 def read_at_leisure(monkeypatch):
     """Every file counts as read long after it was touched."""
-    monkeypatch.setattr(landing_module, "TICK_NS", -60 * 10**9)
+    monkeypatch.setattr(scan_module, "TICK_NS", -60 * 10**9)
 
 
 @pytest.mark.usefixtures("read_at_leisure")
 def test_a_file_is_the_same_while_its_change_time_stands(zone, taken_in, monkeypatch):
     with monkeypatch.context() as within:
-        within.setattr(landing_module, "_digest", None)
+        within.setattr(scan_module, "_digest", None)
         assert list_new_files(zone.landing, zone.ledger)[1] == []
     before = zone.ledger.file_records()
     (zone.landing / CSV).chmod(0o600)
@@ -297,7 +297,7 @@ def test_file_that_changed_is_noted(zone):
 
 def test_file_that_cannot_be_opened_makes_no_run(zone, monkeypatch):
     zone.deliver(CSV)
-    monkeypatch.setattr(landing_module, "_hash_file", fail_to_open)
+    monkeypatch.setattr(scan_module, "_hash_file", fail_to_open)
 
     zone.night()
 
@@ -311,7 +311,7 @@ def fail_to_open(path: Path) -> str:
 def test_file_that_could_not_be_opened_is_new_later(zone, monkeypatch):
     zone.deliver(CSV)
     with monkeypatch.context() as within:
-        within.setattr(landing_module, "_hash_file", fail_to_open)
+        within.setattr(scan_module, "_hash_file", fail_to_open)
         zone.night()
 
     assert [f.path for f in list_new_files(zone.landing, zone.ledger)[1]] == [CSV]

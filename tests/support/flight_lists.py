@@ -4,6 +4,7 @@ from datetime import UTC, datetime, timedelta
 
 import polars as pl
 
+from hdt_core.record.facts import BETWEEN_PACKS
 from hdt_core.tables.raw import RawFlights
 
 START = datetime(2024, 3, 4, 6, tzinfo=UTC)
@@ -18,7 +19,7 @@ def flight(tail: str, departed_at: datetime, leg: int, number: int = 0, **facts:
         "n_snapshots": 40, "n_seconds": 0, "first_altitude_m": 800.0, "last_altitude_m": 900.0,
         "highest_altitude_m": 11_000.0, "mean_altitude_m": 8_000.0 + number, "first_mach": 0.3, "last_mach": 0.3,
         "highest_mach": 0.8, "mean_tat_k": 250.0 + 0.01 * number, "mean_hx_in_k": 380.0 + 0.01 * number,
-        "n_values": 600, "clock_back_s": 0, "n_steps_back": 0,
+        "n_values": 600, "clock_back_s": 0, "n_steps_back": 0, **dict.fromkeys(BETWEEN_PACKS),
     }  # fmt: skip
     return usual | facts
 

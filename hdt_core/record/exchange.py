@@ -1,0 +1,117 @@
+"""Find flights on which an aircraft's packs were recorded in each other's place, from a new decoding map on.
+
+What distinguishes two packs (offsets of sensors, ducts, wear, the flow they are set to) keeps its sign from flight to
+flight. Where all of it changes sign between two flights and keeps its size, the packs changed places on record: wear, a
+wash or one faulty sensor changes a part of it.
+"""
+
+from math import sqrt
+
+import numpy as np
+import polars as pl
+
+from hdt_core.record.facts import BETWEEN_PACKS
+from hdt_core.records.keys import AIRCRAFT, FLIGHT
+from hdt_core.robust import MAD_TO_SD, Array
+
+BEFORE, LEAST_BEFORE = 20, 8
+"""Flights that show how the packs differ, at most and at least."""
+AFTER = 5
+"""Flights after the change that must show it: less than two days."""
+CLEAR = 0.8
+"""Difference of the packs that counts, in its standard deviations from flight to flight."""
+LEAST_CLEAR = 3
+"""Signals that must differ clearly; one of them a temperature, another a flow, speed or pressure."""
+LEAST_EVIDENCE = 30.0
+"""Sum of squares of the clear differences over the flights after the change; noise alone gives about a fifth of it."""
+REVERSED = -0.2
+"""Ratio of each clear difference after to that before which is at most so, and -1 but for noise."""
+MEDIAN_TOLERANCE = 0.6
+"""Deviation of the median ratio from -1."""
+MAX_CHANGES = 20
+"""Changes of one aircraft that are followed."""
+_IS_TEMPERATURE = np.array([name.endswith("_k") for name in BETWEEN_PACKS])
+
+
+def exchanged_packs(flights: pl.DataFrame) -> pl.DataFrame:
+    """Select the flights that were recorded with the packs exchanged.
+
+    Parameters
+    ----------
+    flights : DataFrame
+        `FLIGHT`, `departed_at` and the columns of `BETWEEN_PACKS`, without flights that are held for other reasons.
+
+    Returns
+    -------
+    DataFrame
+        `FLIGHT`, `reason`.
+    """
+    ordered = flights.sort(*AIRCRAFT, "departed_at", "flight_id")
+    sd = {name: _flight_to_flight_sd(name) for name in BETWEEN_PACKS}
+    standardised = ordered.select(*FLIGHT, *(pl.col(n) / pl.when(s > 0.0).then(s) for n, s in sd.items()))
+    suspects = standardised.filter(pl.Series(_find_changes(standardised)[0]))
+    aircraft = suspects.select(AIRCRAFT).unique(maintain_order=True).iter_rows(named=True)
+    held = [_flights_of_exchange(standardised.filter(**own)) for own in aircraft]
+    return pl.concat([standardised.clear(), *held]).select(*FLIGHT, reason=pl.lit("packs_exchanged"))
+
+
+def _find_changes(flights: pl.DataFrame) -> tuple[Array, Array]:
+    """Return whether the packs change places about each flight, and how they typically differed before it."""
+    names = list(BETWEEN_PACKS)
+    earlier = pl.col(names).rolling_median(BEFORE, min_samples=LEAST_BEFORE).shift().over(AIRCRAFT)
+    later = pl.col(names).reverse().rolling_median(AFTER, min_samples=AFTER).reverse().over(AIRCRAFT)
+    before = flights.select(earlier).to_numpy()
+    return are_reversed(before, flights.select(later).to_numpy()), before
+
+
+def _flight_to_flight_sd(name: str) -> pl.Expr:
+    """Return the standard deviation of a difference between flights in a row of one aircraft, without its drift."""
+    typical_step = pl.col(name).diff().abs().median().over(AIRCRAFT)
+    return typical_step * (MAD_TO_SD / sqrt(2.0))
+
+
+def are_reversed(before: Array, after: Array) -> Array:
+    """Return whether all that distinguishes two packs changed sign and kept its size.
+
+    Parameters
+    ----------
+    before, after : array
+        (n, signals). Typical differences of the packs before and after, in standard deviations from flight to flight;
+        NaN where not recorded.
+
+    Returns
+    -------
+    array
+        (n,), bool.
+    """
+    is_clear = (np.abs(before) > CLEAR) & np.isfinite(after)
+    ratio = np.divide(after, before, out=np.full_like(before, np.nan), where=is_clear)
+    is_reversed = np.where(is_clear, ratio < REVERSED, True).all(axis=1)
+    evidence = AFTER * np.where(is_clear, before**2, 0.0).sum(axis=1)
+    has_both_kinds = is_clear[:, _IS_TEMPERATURE].any(axis=1) & is_clear[:, ~_IS_TEMPERATURE].any(axis=1)
+    candidates = is_reversed & has_both_kinds & (is_clear.sum(axis=1) >= LEAST_CLEAR) & (evidence > LEAST_EVIDENCE)
+    median = np.full(len(before), np.nan)
+    median[candidates] = np.nanmedian(ratio[candidates], axis=1)
+    near: Array = np.abs(median + 1.0) < MEDIAN_TOLERANCE
+    return near
+
+
+def _flights_of_exchange(flights: pl.DataFrame) -> pl.DataFrame:
+    """Select an aircraft's flights between each change and the next, which takes it back."""
+    as_before = flights
+    changes = [0]
+    while len(changes) <= MAX_CHANGES:
+        is_change, before = _find_changes(as_before)
+        further = np.flatnonzero(is_change & (np.arange(flights.height) > changes[-1]))
+        if not further.size:
+            break
+        values = as_before.select(BETWEEN_PACKS.keys()).to_numpy()[further[0] :]
+        usual = np.where(np.abs(before[further[0]]) > CLEAR, before[further[0]], 0.0)
+        is_other = np.nansum(values[:AFTER] * usual, axis=1) < 0.0
+        changes.append(int(further[0] + np.argmax(is_other)))
+        is_later = pl.int_range(pl.len()) >= changes[-1]
+        as_before = as_before.with_columns(
+            pl.when(is_later).then(-pl.col(n)).otherwise(n).alias(n) for n in BETWEEN_PACKS
+        )
+    n_changes = np.searchsorted(changes[1:], np.arange(flights.height), side="right")
+    return flights.filter(pl.Series(n_changes % 2 == 1))

@@ -1,0 +1,75 @@
+"""Flights recorded with the packs exchanged, by what distinguishes the two packs."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from hdt_core.record.exchange import exchanged_packs
+from hdt_core.record.facts import BETWEEN_PACKS
+from tests.support.flight_lists import fleet
+
+N_FLIGHTS = 90
+OFFSETS = dict(zip(BETWEEN_PACKS, (3.0, -2.0, 1.5, 0.0, -1.2, 0.3, 2.0, 0.0), strict=True))
+"""How the packs differ, in standard deviations from flight to flight."""
+
+
+def differing(offsets: dict[str, float], signs: np.ndarray) -> pl.DataFrame:
+    """An aircraft's flights, of which some have the packs exchanged: sign -1."""
+    rng = np.random.default_rng(5)
+    flights = fleet(N_FLIGHTS // 3, 1)
+    values = {name: signs * (offset + rng.normal(0.0, 1.0, N_FLIGHTS)) for name, offset in offsets.items()}
+    return flights.with_columns(pl.Series(name, column) for name, column in values.items())
+
+
+def places_held(flights: pl.DataFrame) -> list[int]:
+    """Places of the held flights, in order of departure."""
+    held = flights.sort("departed_at").with_row_index().join(exchanged_packs(flights), on="flight_id", how="semi")
+    return sorted(held["index"].to_list())
+
+
+@pytest.mark.parametrize(("first", "after_last"), [(40, N_FLIGHTS), (30, 60), (50, 57), (12, N_FLIGHTS)])
+def test_flights_with_packs_exchanged_are_held(first, after_last):
+    signs = np.ones(N_FLIGHTS)
+    signs[first:after_last] = -1.0
+
+    held = places_held(differing(OFFSETS, signs))
+
+    wrong = set(held) ^ set(range(first, after_last))
+    assert len(wrong) <= 2
+
+
+def test_nothing_is_held_of_packs_in_their_places():
+    assert places_held(differing(OFFSETS, np.ones(N_FLIGHTS))) == []
+
+
+@pytest.mark.parametrize("name", ["hx_out_between_packs_k", "hx_in_between_packs_k"])
+def test_one_signal_that_changes_sign_is_no_exchange(name):
+    flights = differing(OFFSETS, np.ones(N_FLIGHTS)).sort("departed_at")
+    is_late = pl.int_range(pl.len()) >= 45
+
+    changed = flights.with_columns(pl.when(is_late).then(-pl.col(name)).otherwise(name))
+
+    assert places_held(changed) == []
+
+
+def test_a_flow_that_is_set_anew_is_no_exchange():
+    flights = differing(OFFSETS, np.ones(N_FLIGHTS)).sort("departed_at")
+    is_late = pl.int_range(pl.len()) >= 45
+    of_flow = [name for name in BETWEEN_PACKS if not name.endswith("_k")]
+
+    changed = flights.with_columns(pl.when(is_late).then(-pl.col(n)).otherwise(n) for n in of_flow)
+
+    assert places_held(changed) == []
+
+
+def test_packs_that_read_alike_are_not_told_apart():
+    signs = np.where(np.arange(N_FLIGHTS) < 40, 1.0, -1.0)
+
+    assert places_held(differing(dict.fromkeys(OFFSETS, 0.2), signs)) == []
+
+
+def test_channels_that_are_not_recorded_are_left_out():
+    signs = np.where(np.arange(N_FLIGHTS) < 40, 1.0, -1.0)
+    flights = differing(OFFSETS, signs).with_columns(pl.lit(None, pl.Float64).alias("cc_out_between_packs_pa"))
+
+    assert places_held(flights) == list(range(40, N_FLIGHTS))
