@@ -127,7 +127,7 @@ def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, monkeypatch)
     monkeypatch.undo()
     assert not run(landing, home).failed
     with connect(home) as con:
-        assert con.execute("select count(*) from flights where flight_id = ?", [added[0]]).fetchone()[0] == 1
+        assert con.execute("select count(*) from tables.raw_flights where flight_id = ?", [added[0]]).fetchone()[0] == 1
 
 
 def test_a_hook_that_fails_or_is_not_there_keeps_none_of_the_others(monkeypatch, tmp_path):
