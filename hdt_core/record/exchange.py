@@ -14,6 +14,8 @@ from hdt_core.record.facts import BETWEEN_PACKS
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 from hdt_core.robust import MAD_TO_SD, Array
 
+EXCHANGED = "packs_exchanged"
+"""Reason of flights that are used, each pack in its own place; those of other reasons are not used."""
 BEFORE, LEAST_BEFORE = 20, 8
 """Flights that show how the packs differ, at most and at least."""
 AFTER = 5
@@ -52,7 +54,31 @@ def exchanged_packs(flights: pl.DataFrame) -> pl.DataFrame:
     suspects = standardised.filter(pl.Series(_find_changes(standardised)[0]))
     aircraft = suspects.select(AIRCRAFT).unique(maintain_order=True).iter_rows(named=True)
     held = [_flights_of_exchange(standardised.filter(**own)) for own in aircraft]
-    return pl.concat([standardised.clear(), *held]).select(*FLIGHT, reason=pl.lit("packs_exchanged"))
+    return pl.concat([standardised.clear(), *held]).select(*FLIGHT, reason=pl.lit(EXCHANGED))
+
+
+def unused(held: pl.DataFrame) -> pl.DataFrame:
+    """Select the held flights from which nothing is computed."""
+    return held.filter(pl.col("reason") != EXCHANGED)
+
+
+def usable_rows(rows: pl.DataFrame, held: pl.DataFrame) -> pl.DataFrame:
+    """Return the recorded rows of the flights that are used, with exchanged packs in their own places.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Of `raw_snapshots` and `raw_logs`.
+    held : DataFrame
+        Of `record_held`.
+    """
+    used = rows.join(unused(held), on=FLIGHT, how="anti", maintain_order="left")
+    exchanged = held.filter(reason=EXCHANGED).select(*FLIGHT, is_exchanged=True)
+    if exchanged.is_empty():
+        return used
+    marked = used.join(exchanged, on=FLIGHT, how="left", maintain_order="left", validate="m:1")
+    own_pack = pl.when("is_exchanged").then(3 - pl.col("pack")).otherwise("pack")
+    return marked.with_columns(own_pack.cast(rows.schema["pack"]).alias("pack")).select(rows.columns)
 
 
 def _find_changes(flights: pl.DataFrame) -> tuple[Array, Array]:

@@ -16,7 +16,8 @@ from hdt_core.flight.admission import NominalBaseline, admit, learn_baseline, le
 from hdt_core.flight.channels import find_channels
 from hdt_core.flight.control_schedules import learn_schedules
 from hdt_core.flight.legs import judge_legs, reject_odd_bleed
-from hdt_core.records.keys import FLIGHT, FLIGHT_PACK, LEG, of_each_aircraft
+from hdt_core.record.exchange import usable_rows
+from hdt_core.records.keys import FLIGHT_PACK, LEG, of_each_aircraft
 from hdt_core.tables.raw import SIGNALS
 from pipelines.assets.stage import StageResult, stage
 from pipelines.report.plots import as_png, figure_12, figure_13, figure_15, outlet_residuals
@@ -28,8 +29,8 @@ from pipelines.versions import baseline_cells, baseline_records
 
 @stage
 def legs(raw_snapshots: pl.DataFrame, raw_logs: pl.DataFrame, record_held: pl.DataFrame) -> tuple[pl.DataFrame, ...]:
-    """Classify each leg that is not held by its own record alone: channels, phase, completeness, steady state."""
-    rows = pl.concat([raw_snapshots, raw_logs]).join(record_held, on=FLIGHT, how="anti", maintain_order="left")
+    """Classify each leg that is used by its own record alone: channels, phase, completeness, steady state."""
+    rows = usable_rows(pl.concat([raw_snapshots, raw_logs]), record_held)
     channels = find_channels(rows)
     verdicts, samples = judge_legs(rows, channels)
     return samples, verdicts, channels

@@ -11,6 +11,7 @@ from hdt_core.components import Component, component_rows, recorded_components
 from hdt_core.components.pack import CC, HX
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
+from hdt_core.record.exchange import unused
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG
 from hdt_core.tables import TABLES
 from hdt_core.tracking import track
@@ -100,7 +101,7 @@ def calibration_components(
     """Select steady flights of each component and estimate the design of each pack's first unit."""
     from hdt_core.tracking.component_units import commission  # its estimators take half a second to load
 
-    rows = raw_components.join(record_held, on=FLIGHT, how="anti", maintain_order="left")
+    rows = raw_components.join(unused(record_held), on=FLIGHT, how="anti", maintain_order="left")
     results = [commission(rows, raw_maintenance, c, raw_reports) for c in in_service(rows, home)]
     legs = conform_all("legs_components", [x for x, _ in results])
     design = conform_all("calibration_components", [d for _, d in results])

@@ -17,6 +17,7 @@ from hdt_core.health.residuals import residuals as compare
 from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.health.work import judge_log, known_log, settled_log
 from hdt_core.margin.exchanger_demand import exchanger_demand
+from hdt_core.record.exchange import unused
 from hdt_core.records.keys import FLIGHT
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from hdt_core.tracking.track import track
@@ -58,7 +59,7 @@ def twin_health(
     It continues from the last checkpoint before the new flights; a checkpoint lists the flights it includes.
     """
     stored = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
-    rows = raw_components.join(record_held, on=FLIGHT, how="anti", maintain_order="left")
+    rows = raw_components.join(unused(record_held), on=FLIGHT, how="anti", maintain_order="left")
     inputs, code = (rows, legs_components, calibration_components), LINEAGE["twin_health"].code
     components, residuals = track_components(*inputs, raw_maintenance, home, stored, code)
     tracks = [components]

@@ -41,7 +41,8 @@ all_flights as (
         (f.departed_at at time zone 'UTC')::date as departed_on
     from tables.raw_flights as f
     left join verdicts as v on f.operator = v.operator and f.flight_id = v.flight_id
-    anti join tables.record_held as h on f.operator = h.operator and f.flight_id = h.flight_id
+    anti join tables.record_held as h
+        on f.operator = h.operator and f.flight_id = h.flight_id and h.reason <> 'packs_exchanged'
     union all
     select
         operator,

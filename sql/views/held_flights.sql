@@ -1,6 +1,7 @@
--- Which flights are not used, why, and what made them so?
+-- Which flights are not used as delivered, why, and what made them so?
 -- departed_at: as delivered
 -- likely_cause: null where the numbers show none
+-- reason: of packs_exchanged the flights are used, each pack in its own place; of any other they are not
 -- Grain: flight. Reads: tables.record_held, airframes.
 create or replace view held_flights as
 select

@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.record.exchange import exchanged_packs
+from hdt_core.record.exchange import EXCHANGED, exchanged_packs, usable_rows
 from hdt_core.record.facts import BETWEEN_PACKS
 from tests.support.flight_lists import fleet
 
@@ -73,3 +73,15 @@ def test_channels_that_are_not_recorded_are_left_out():
     flights = differing(OFFSETS, signs).with_columns(pl.lit(None, pl.Float64).alias("cc_out_between_packs_pa"))
 
     assert places_held(flights) == list(range(40, N_FLIGHTS))
+
+
+def test_exchanged_packs_are_read_in_their_places():
+    key = {"operator": "AQX", "tail": "LX-AA0"}
+    rows = pl.DataFrame([key | {"flight_id": f, "pack": p} for f in "abc" for p in (1, 2)])
+    held = pl.DataFrame(
+        [key | {"flight_id": "b", "reason": EXCHANGED}, key | {"flight_id": "c", "reason": "no_flight"}]
+    )
+
+    used = usable_rows(rows, held)
+
+    assert used.select("flight_id", "pack").rows() == [("a", 1), ("a", 2), ("b", 2), ("b", 1)]
