@@ -4,7 +4,7 @@ Each is a property of the record and no fault of a sensor: what it withholds is 
 what it repeats. Everything here follows from one flight alone.
 """
 
-from math import log, pi, sqrt
+from math import lgamma, log, pi, sqrt
 
 import numpy as np
 import polars as pl
@@ -36,6 +36,8 @@ LONGEST_PERIOD, MIN_PERIODS = 64, 3
 """Readings after which the pattern of a lower rate repeats (8 Hz against 1/8 Hz), and how often it must be seen."""
 STRAY_SHARE = 0.05
 """Share of readings that may depart from the pattern; a sound sensor loses 1 %. [-]"""
+PATTERN_CHANCE = 1e-3
+"""Chance that as many readings lost at random repeat in a pattern, below which they are the recorder's. [-]"""
 OWN_SIGNALS = [s for s in READING_SD if s not in ("tat_k", "total_pressure_pa")]
 CHANCE, WEAK_CHANCE = 1e-6, 0.05
 """Chance of equal readings below which it is one channel, and the chance above which a signal is no evidence."""
@@ -210,8 +212,8 @@ def regular_gaps(is_empty: Array, position: Array) -> int:
 
     Examples
     --------
-    >>> regular_gaps(np.arange(12) % 3 == 2, np.arange(12))
-    4
+    >>> regular_gaps(np.arange(24) % 3 == 2, np.arange(24))
+    8
     """
     n = is_empty.size
     for period in range(2, min(LONGEST_PERIOD, n // MIN_PERIODS) + 1):
@@ -221,6 +223,15 @@ def regular_gaps(is_empty: Array, position: Array) -> int:
         is_gap = n_empty > 0.5 * n_place
         n_stray = np.where(is_gap, n_place - n_empty, n_empty).sum()
         is_seen = n_empty[is_gap].min(initial=n) >= MIN_PERIODS
-        if is_gap.any() and is_seen and not is_gap.all() and n_stray <= max(1.0, STRAY_SHARE * n):
+        if not (is_gap.any() and is_seen and not is_gap.all() and n_stray <= max(1.0, STRAY_SHARE * n)):
+            continue
+        # of all ways to leave so many readings empty, those that this period or a shorter one explains
+        explained = log(period) + _ln_choices(period, is_gap.sum()) + _ln_choices(n, n_stray)
+        if explained - _ln_choices(n, n_empty.sum()) < log(PATTERN_CHANCE):
             return int(n_empty[is_gap].sum())
     return 0
+
+
+def _ln_choices(n: float, k: float) -> float:
+    """Return the logarithm of the number of ways to choose k of n."""
+    return lgamma(n + 1.0) - lgamma(k + 1.0) - lgamma(n - k + 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.channels import OWN_SIGNALS, find_channels
+from hdt_core.flight.channels import OWN_SIGNALS, find_channels, regular_gaps
 from hdt_core.flight.legs import judge_legs
 from hdt_core.flight.samples import READING_SD
 from hdt_core.tables.raw import RawSnapshots
@@ -97,6 +97,13 @@ def test_number_for_no_value_is_a_gap(value):
     chosen = pl.int_range(pl.len()).over("pack") % 3 == 1
     records = fly().with_columns(pl.when(chosen).then(value).otherwise("vda_counts").alias("vda_counts"))
     assert reasons(records) == ["", ""]
+
+
+def test_three_gaps_that_chance_put_in_a_row_are_missing():
+    """Every eighth of 24 readings, as one in sixty of all triples has some period."""
+    empty = np.isin(np.arange(24), (7, 15, 23))
+
+    assert regular_gaps(empty, np.arange(24)) == 0
 
 
 def test_gaps_at_random_are_missing():
