@@ -14,6 +14,8 @@ MAX_HALF_HOURS = 28
 """Longest difference between two zones, either way: 14 hours."""
 NEAR = timedelta(days=3)
 """Longest gap to another flight of the aircraft once the shift is undone."""
+SAME_FLIGHT = timedelta(minutes=30)
+"""Difference of the first reports of one flight in two recorders' files."""
 LATEST_YEAR = 2_200
 """Last year that a shift may lead to; a time beyond 2262 can't be stored."""
 
@@ -56,7 +58,10 @@ _SHIFTS = _shifts()
 
 
 def _fits(group: pl.DataFrame, record: pl.DataFrame, shift: pl.Expr) -> bool:
-    """Return whether all shifted flights come near to others, overlap none and take no id that is in use."""
+    """Return whether all shifted flights come near to others, overlap none and take no other flight's id.
+
+    A flight on record at the shifted time and id is the same one, from another recorder.
+    """
     if record.is_empty() or group["departed_at"].dt.year().max() > LATEST_YEAR:  # type: ignore[operator]
         return False
     duration = pl.col("landed_at") - pl.col("departed_at")
@@ -65,9 +70,12 @@ def _fits(group: pl.DataFrame, record: pl.DataFrame, shift: pl.Expr) -> bool:
         return False
     shifted = shifted.with_columns(landed_at=pl.col("departed_at") + pl.col("duration")).sort("departed_at")
     day = pl.col("departed_at").dt.strftime("_%Y%m%d")
-    ids = shifted.select(pl.concat_str(pl.col("flight_id").str.head(-12), day, pl.col("flight_id").str.tail(3)))
-    if not ids.join(record, on="flight_id", how="semi").is_empty():
+    ids = pl.concat_str(pl.col("flight_id").str.head(-12), day, pl.col("flight_id").str.tail(3))
+    taken = shifted.with_columns(ids.alias("flight_id")).join(record, on="flight_id", suffix="_taken")
+    is_same = (pl.col("departed_at") - pl.col("departed_at_taken")).abs() <= SAME_FLIGHT
+    if not taken.select(is_same.all()).item():
         return False
+    record = record.join(taken, on="flight_id", how="anti")
     before = record.select("departed_at", last_at="landed_at")
     after = record.select("departed_at", next_at="departed_at")
     placed = shifted.join_asof(before, on="departed_at").join_asof(after, on="departed_at", strategy="forward")

@@ -111,6 +111,16 @@ def test_the_flights_after_a_week_rollover_are_held(n_aircraft):
     assert held["likely_cause"].to_list() == ["week_rollover"] * 60
 
 
+def test_a_flight_that_another_recorder_dated_right_does_not_hide_a_rollover():
+    good = fleet(60, 4)
+    late = nth(good, "LX-AA0", *range(120, 180))
+    right = late[30:31]
+
+    held = judge(without(good, late), moved(late, "-1024w"), right)
+
+    assert held["likely_cause"].to_list() == ["week_rollover"] * 60
+
+
 def test_day_exchanged_with_month_is_named(good):
     right = good.filter(pl.col("departed_at").dt.date() == datetime(2024, 3, 9).date(), tail="LX-AA2").head(1)
     wrong = moved(right, "178d")  # 3 September
