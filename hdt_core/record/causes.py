@@ -26,7 +26,7 @@ def likely_cause(group: pl.DataFrame, record: pl.DataFrame) -> str | None:
     Parameters
     ----------
     group, record : DataFrame
-        `flight_id, departed_at, landed_at` of an aircraft's flights that can't be right, and of those that can.
+        `flight_id, departed_at, landed_at, source` of an aircraft's flights that can't be right, and of those that can.
     """
     if group["departed_at"].dt.date().is_in(DEFAULT_DATES).any():
         return "default_date"
@@ -65,14 +65,17 @@ def _fits(group: pl.DataFrame, record: pl.DataFrame, shift: pl.Expr) -> bool:
     if record.is_empty() or group["departed_at"].dt.year().max() > LATEST_YEAR:  # type: ignore[operator]
         return False
     duration = pl.col("landed_at") - pl.col("departed_at")
-    shifted = group.select("flight_id", duration=duration, departed_at=shift.cast(record.schema["departed_at"]))
+    shifted = group.select(
+        "flight_id", "source", duration=duration, departed_at=shift.cast(record.schema["departed_at"])
+    )
     if shifted["departed_at"].null_count():
         return False
     shifted = shifted.with_columns(landed_at=pl.col("departed_at") + pl.col("duration")).sort("departed_at")
     day = pl.col("departed_at").dt.strftime("_%Y%m%d")
     ids = pl.concat_str(pl.col("flight_id").str.head(-12), day, pl.col("flight_id").str.tail(3))
     taken = shifted.with_columns(ids.alias("flight_id")).join(record, on="flight_id", suffix="_taken")
-    is_same = (pl.col("departed_at") - pl.col("departed_at_taken")).abs() <= SAME_FLIGHT
+    is_near = (pl.col("departed_at") - pl.col("departed_at_taken")).abs() <= SAME_FLIGHT
+    is_same = is_near & (pl.col("source") != pl.col("source_taken"))
     if not taken.select(is_same.all()).item():
         return False
     record = record.join(taken, on="flight_id", how="anti")

@@ -114,7 +114,7 @@ def test_the_flights_after_a_week_rollover_are_held(n_aircraft):
 def test_a_flight_that_another_recorder_dated_right_does_not_hide_a_rollover():
     good = fleet(60, 4)
     late = nth(good, "LX-AA0", *range(120, 180))
-    right = late[30:31]
+    right = late[30:31].with_columns(source=pl.lit("cpl"))
 
     held = judge(without(good, late), moved(late, "-1024w"), right)
 
