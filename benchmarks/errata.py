@@ -135,7 +135,9 @@ def compressor_eigenvalues() -> np.ndarray:
         ln_a, ln_d, beta = np.array([np.log(0.01), np.log(0.11), 0.61]) + 1e-30j * np.eye(3)[i]
         group = np.exp(ln_a + ln_d) * np.tan(beta)
         columns.append(np.log(inlet_flow_kg_s(group, inlet_pa, inlet_k, speed)).imag / 1e-30 / 0.02)
-    return np.linalg.eigvalsh(np.array(columns) @ np.array(columns).T)
+    eigenvalues = np.linalg.eigvalsh(np.array(columns) @ np.array(columns).T)
+    rounding = 1e-12 * eigenvalues.max()
+    return np.where(np.abs(eigenvalues) < rounding, 0.0, eigenvalues)
 
 
 def figure(folder: Path) -> Path:

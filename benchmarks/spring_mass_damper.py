@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib import rcParams
 from matplotlib.figure import Figure
+from rich.console import Console
 from rich.progress import track
 from threadpoolctl import threadpool_limits
 
@@ -76,7 +77,7 @@ def main(
     estimate, n_records = partial(_record, chosen, last), max(last.values())
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         run = map if workers == 1 else partial(pool.map, chunksize=5)
-        records = list(track(run(estimate, range(n_records)), "Records", n_records))
+        records = list(track(run(estimate, range(n_records)), "Records", n_records, console=Console(stderr=True)))
     return [_row(e.name, [record[e.name] for record in records[: last[e.name]]]) for e in chosen]
 
 
