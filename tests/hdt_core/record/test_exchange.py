@@ -6,7 +6,8 @@ import pytest
 
 from hdt_core.record.exchange import EXCHANGED, exchanged_packs, usable_rows
 from hdt_core.record.facts import BETWEEN_PACKS
-from tests.support.flight_lists import fleet
+from hdt_core.record.judge import judge_flights
+from tests.support.flight_lists import NOW, fleet
 
 N_FLIGHTS = 90
 OFFSETS = dict(zip(BETWEEN_PACKS, (3.0, -2.0, 1.5, 0.0, -1.2, 0.3, 2.0, 0.0), strict=True))
@@ -73,6 +74,15 @@ def test_channels_that_are_not_recorded_are_left_out():
     flights = differing(OFFSETS, signs).with_columns(pl.lit(None, pl.Float64).alias("cc_out_between_packs_pa"))
 
     assert places_held(flights) == list(range(40, N_FLIGHTS))
+
+
+def test_exchange_is_judged_with_the_record():
+    signs = np.where(np.arange(N_FLIGHTS) < 40, 1.0, -1.0)
+    no_deliveries = pl.DataFrame(schema={"operator": pl.String, "tail": pl.String, "delivered_on": pl.Date})
+
+    held = judge_flights(differing(OFFSETS, signs), no_deliveries, NOW)
+
+    assert held["reason"].unique().to_list() == ["packs_exchanged"]
 
 
 def test_exchanged_packs_are_read_in_their_places():
