@@ -11,6 +11,7 @@ stock Dagster reads them; the page of a run shows one line an asset and not one 
 import os
 import sqlite3
 import threading
+import weakref
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
@@ -191,11 +192,19 @@ _INSERT_OTHER = f"insert into event_logs ({_COMMON}, timestamp, partition, event
 _INSERT_TAG = "insert into asset_event_tags (event_timestamp, asset_key, event_id, key, value) values (?, ?, ?, ?, ?)"
 
 
+def _close_files(engines: dict[str, Engine]) -> None:
+    for engine in engines.values():
+        engine.dispose()
+    engines.clear()
+
+
 class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
     """Embedded event log: stock's tables, one transaction for many events instead of two for each."""
 
     def __init__(self, base_dir: str, inst_data: ConfigurableClassData | None = None) -> None:
         self._engines: dict[str, Engine] = {}
+        # Dagster builds instances from a reference and disposes of none of them
+        weakref.finalize(self, _close_files, self._engines)
         self._open: dict[str, Connection] = {}
         self._shards = threading.RLock()
         self._existing: set[tuple[str, str]] = set()
@@ -275,9 +284,7 @@ class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
     def dispose(self) -> None:
         """Close the files."""
         super().dispose()
-        for engine in self._engines.values():
-            engine.dispose()
-        self._engines.clear()
+        _close_files(self._engines)
 
     def _store(self, groups: Sequence[EventGroup]) -> None:
         """Store in each run's own shard first, since the index refers to it."""

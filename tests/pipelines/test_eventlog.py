@@ -1,5 +1,6 @@
 """The batched event log writes what stock Dagster writes, so that stock Dagster reads it."""
 
+import gc
 import json
 import re
 import sqlite3
@@ -15,6 +16,7 @@ from dagster._core.definitions.partitions.context import partition_loading_conte
 from databases import SERVER, new_database
 
 from dagster_batched import report_partitions
+from dagster_batched.event_log import BatchedSqliteEventLogStorage
 from dagster_batched.partitions import valid_keys
 from dagster_batched.runs import open_instance, range_tags
 
@@ -353,3 +355,15 @@ def test_no_process_meets_settings_half_written(tmp_path):
     open_instance(tmp_path, "# ours", "made here").dispose()
     assert settings.read_text() == "telemetry: {enabled: false}"
     assert [p.name for p in tmp_path.glob("*dagster.yaml*")] == ["dagster.yaml"]
+
+
+def test_a_log_that_nobody_disposes_of_closes_its_files(tmp_path):
+    """From Python 3.13 on a connection that the collector finds open is a warning."""
+    log = BatchedSqliteEventLogStorage(str(tmp_path))
+    engine = log._engine("index")
+    with engine.connect():
+        pass
+    assert engine.pool.checkedin() > 0
+    del log
+    gc.collect()
+    assert engine.pool.checkedin() == 0
