@@ -73,7 +73,7 @@ def _fits(group: pl.DataFrame, record: pl.DataFrame, shift: pl.Expr) -> bool:
     shifted = shifted.with_columns(landed_at=pl.col("departed_at") + pl.col("duration")).sort("departed_at")
     day = pl.col("departed_at").dt.strftime("_%Y%m%d")
     ids = pl.concat_str(pl.col("flight_id").str.head(-12), day, pl.col("flight_id").str.tail(3))
-    taken = shifted.with_columns(ids.alias("flight_id")).join(record, on="flight_id", suffix="_taken")
+    taken = shifted.with_columns(ids.alias("flight_id")).join(record, on="flight_id", suffix="_taken", validate="m:1")
     is_near = (pl.col("departed_at") - pl.col("departed_at_taken")).abs() <= SAME_FLIGHT
     is_same = is_near & (pl.col("source") != pl.col("source_taken"))
     if not taken.select(is_same.all()).item():
