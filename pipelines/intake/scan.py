@@ -3,6 +3,7 @@
 A file is new by its content, so that a touched one is not.
 """
 
+import os
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import polars as pl
 
+from hdt_core.loading import read_text
 from pipelines.intake.faults import MAX_NAMES
 from pipelines.intake.findings import COSTS, case_files
 from pipelines.intake.findings import NAME as COSTS_FILE
@@ -125,8 +127,18 @@ def _recorded(file: LandingFile, records: Records) -> LandingFile:
 def _settings(home: Path, records: Records) -> Iterator[Row]:
     """List the home's own settings as the ledger lists delivered files; one that was removed has no content."""
     file = home / COSTS_FILE
-    if file.exists() or COSTS_FILE in records:
-        yield COSTS_FILE, "", "", COSTS, 0, 0, _hash_file(file) if file.exists() else ""
+    if os.path.lexists(file) or COSTS_FILE in records:
+        yield COSTS_FILE, "", "", COSTS, 0, 0, _hash_setting(file)
+
+
+def _hash_setting(file: Path) -> str:
+    """Hash a setting as it is read; one that can't be read by its fault, which the costs report."""
+    try:
+        return hash_of(read_text(file).encode())
+    except FileNotFoundError:
+        return ""
+    except (ValueError, OSError) as error:
+        return hash_of(str(error).encode())
 
 
 def list_new_files(landing: Path, ledger: Ledger) -> tuple[int, list[LandingFile]]:

@@ -14,6 +14,7 @@ from hdt_core.alerts.cases import Limits
 from pipelines.cli import app, main
 from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.intake.findings import CostError, read_costs
+from pipelines.intake.scan import scan
 from pipelines.orchestration.runs import open_instance
 from pipelines.report.tasks import read_tasks
 from pipelines.storage.files import make_private, narrow_umask
@@ -189,6 +190,18 @@ READERS = {
     "terms.txt": accepted_terms, "roles.toml": read_people, "tasks.toml": read_tasks,
     "dagster/dagster.yaml": open_instance,
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("make", ENDLESS.values(), ids=ENDLESS)
+def test_endless_costs_do_not_hold_up_the_scan(tmp_path, make):
+    landing, home = tmp_path / "landing", tmp_path / "home"
+    landing.mkdir()
+    home.mkdir()
+    make(home / "costs.toml")
+
+    scan(landing, Ledger(home))
+
+    assert Ledger(home).file_records().keys() == {"costs.toml"}
 
 
 @pytest.mark.parametrize("make", ENDLESS.values(), ids=ENDLESS)
