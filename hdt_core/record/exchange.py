@@ -28,6 +28,8 @@ LEAST_EVIDENCE = 30.0
 """Sum of squares of the clear differences over the flights after the change; noise alone gives about a fifth of it."""
 REVERSED = -0.2
 """Ratio of each clear difference after to that before which is at most so, and -1 but for noise."""
+MOST = 0.8
+"""Share of the clear differences that must be reversed on an aircraft one exchange of which is known."""
 MEDIAN_TOLERANCE = 0.6
 """Deviation of the median ratio from -1."""
 MAX_CHANGES = 20
@@ -51,7 +53,7 @@ def exchanged_packs(flights: pl.DataFrame) -> pl.DataFrame:
     ordered = flights.sort(*AIRCRAFT, "departed_at", "flight_id")
     sd = {name: _flight_to_flight_sd(name) for name in BETWEEN_PACKS}
     standardised = ordered.select(*FLIGHT, *(pl.col(n) / pl.when(s > 0.0).then(s) for n, s in sd.items()))
-    suspects = standardised.filter(pl.Series(_find_changes(standardised)[0]))
+    suspects = standardised.filter(pl.Series(_find_changes(standardised)))
     aircraft = suspects.select(AIRCRAFT).unique(maintain_order=True).iter_rows(named=True)
     held = [_flights_of_exchange(standardised.filter(**own)) for own in aircraft]
     return pl.concat([standardised.clear(), *held]).select(*FLIGHT, reason=pl.lit(EXCHANGED))
@@ -81,13 +83,17 @@ def usable_rows(rows: pl.DataFrame, held: pl.DataFrame) -> pl.DataFrame:
     return marked.with_columns(own_pack.cast(rows.schema["pack"]).alias("pack")).select(rows.columns)
 
 
-def _find_changes(flights: pl.DataFrame) -> tuple[Array, Array]:
-    """Return whether the packs change places about each flight, and how they typically differed before it."""
+def _find_changes(flights: pl.DataFrame) -> Array:
+    """Return whether the packs change places at each flight, by all that distinguishes them."""
+    return are_reversed(*_before_and_after(flights))
+
+
+def _before_and_after(flights: pl.DataFrame) -> tuple[Array, Array]:
+    """Return how the packs typically differ before each flight and from it on."""
     names = list(BETWEEN_PACKS)
     earlier = pl.col(names).rolling_median(BEFORE, min_samples=LEAST_BEFORE).shift().over(AIRCRAFT)
     later = pl.col(names).reverse().rolling_median(AFTER, min_samples=AFTER).reverse().over(AIRCRAFT)
-    before = flights.select(earlier).to_numpy()
-    return are_reversed(before, flights.select(later).to_numpy()), before
+    return flights.select(earlier).to_numpy(), flights.select(later).to_numpy()
 
 
 def _flight_to_flight_sd(name: str) -> pl.Expr:
@@ -96,14 +102,16 @@ def _flight_to_flight_sd(name: str) -> pl.Expr:
     return typical_step * (MAD_TO_SD / sqrt(2.0))
 
 
-def are_reversed(before: Array, after: Array) -> Array:
-    """Return whether all that distinguishes two packs changed sign and kept its size.
+def are_reversed(before: Array, after: Array, share: float = 1.0) -> Array:
+    """Return whether what distinguishes two packs changed sign and kept its size.
 
     Parameters
     ----------
     before, after : array
         (n, signals). Typical differences of the packs before and after, in standard deviations from flight to flight;
         NaN where not recorded.
+    share : float
+        Share of the clear differences that must have changed sign.
 
     Returns
     -------
@@ -112,10 +120,11 @@ def are_reversed(before: Array, after: Array) -> Array:
     """
     is_clear = (np.abs(before) > CLEAR) & np.isfinite(after)
     ratio = np.divide(after, before, out=np.full_like(before, np.nan), where=is_clear)
-    is_reversed = np.where(is_clear, ratio < REVERSED, True).all(axis=1)
+    n_clear = is_clear.sum(axis=1)
+    is_reversed = (is_clear & (ratio < REVERSED)).sum(axis=1) >= share * n_clear
     evidence = AFTER * np.where(is_clear, before**2, 0.0).sum(axis=1)
     has_both_kinds = is_clear[:, _IS_TEMPERATURE].any(axis=1) & is_clear[:, ~_IS_TEMPERATURE].any(axis=1)
-    candidates = is_reversed & has_both_kinds & (is_clear.sum(axis=1) >= LEAST_CLEAR) & (evidence > LEAST_EVIDENCE)
+    candidates = is_reversed & has_both_kinds & (n_clear >= LEAST_CLEAR) & (evidence > LEAST_EVIDENCE)
     median = np.full(len(before), np.nan)
     median[candidates] = np.nanmedian(ratio[candidates], axis=1)
     near: Array = np.abs(median + 1.0) < MEDIAN_TOLERANCE
@@ -123,17 +132,22 @@ def are_reversed(before: Array, after: Array) -> Array:
 
 
 def _flights_of_exchange(flights: pl.DataFrame) -> pl.DataFrame:
-    """Select an aircraft's flights between each change and the next, which takes it back."""
+    """Select an aircraft's flights between each change and the next, which takes it back.
+
+    That it has a change is known. So its other changes need less: that what distinguishes the packs changed sign as a
+    whole, for a part may have been replaced meanwhile.
+    """
     as_before = flights
     changes = [0]
     while len(changes) <= MAX_CHANGES:
-        is_change, before = _find_changes(as_before)
+        before, after = _before_and_after(as_before)
+        usual = np.where(np.abs(before) > CLEAR, before, 0.0)
+        is_change = are_reversed(before, after, MOST)
         further = np.flatnonzero(is_change & (np.arange(flights.height) > changes[-1]))
         if not further.size:
             break
         values = as_before.select(BETWEEN_PACKS.keys()).to_numpy()[further[0] :]
-        usual = np.where(np.abs(before[further[0]]) > CLEAR, before[further[0]], 0.0)
-        is_other = np.nansum(values[:AFTER] * usual, axis=1) < 0.0
+        is_other = np.nansum(values[:AFTER] * usual[further[0]], axis=1) < 0.0
         changes.append(int(further[0] + np.argmax(is_other)))
         is_later = pl.int_range(pl.len()) >= changes[-1]
         as_before = as_before.with_columns(

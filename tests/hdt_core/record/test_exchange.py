@@ -43,6 +43,18 @@ def test_nothing_is_held_of_packs_in_their_places():
     assert places_held(differing(OFFSETS, np.ones(N_FLIGHTS))) == []
 
 
+def test_sensor_changed_with_exchange_back_is_followed():
+    signs = np.ones(N_FLIGHTS)
+    signs[30:60] = -1.0
+    flights = differing(dict.fromkeys(OFFSETS, 3.0), signs).sort("departed_at")
+    is_changed = pl.int_range(pl.len()) >= 60
+    name = "hx_in_between_packs_k"
+
+    changed = flights.with_columns(pl.when(is_changed).then(-pl.col(name)).otherwise(name))
+
+    assert places_held(changed) == list(range(30, 60))
+
+
 @pytest.mark.parametrize("name", ["hx_out_between_packs_k", "hx_in_between_packs_k"])
 def test_one_signal_that_changes_sign_is_no_exchange(name):
     flights = differing(OFFSETS, np.ones(N_FLIGHTS)).sort("departed_at")
