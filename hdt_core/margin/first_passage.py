@@ -36,7 +36,7 @@ DEMAND_NAMES = (
 
 
 def demand_quantiles(critical: Array, pack: Index, flight: Index) -> dict[str, Array]:
-    """Return quantiles and trend of the demand of a flight and those before it.
+    """Return quantiles and trend of the demand of a flight and those before it; flights of unknown demand don't count.
 
     Parameters
     ----------
@@ -52,12 +52,14 @@ def demand_quantiles(critical: Array, pack: Index, flight: Index) -> dict[str, A
         mean of the recent ones less that of those a hundred flights before, 0 while fewer are known. NaN before the
         first known flight.
     """
-    demand = _fill_forward(critical)
-    first = np.where(np.isfinite(demand).any(axis=1), np.isfinite(demand).argmax(axis=1), demand.shape[1])
-    n_flights = flight - first[pack] + 1
-    window = np.sort(_past(demand, pack, flight, n_flights, WINDOW_FLIGHTS), axis=1)
-    recent = np.sort(_past(demand, pack, flight, n_flights, RECENT_FLIGHTS), axis=1)
-    earlier = _past(demand, pack, flight - TREND_FLIGHTS, n_flights, RECENT_FLIGHTS).mean(axis=1)
+    is_known = np.isfinite(critical)
+    n_flights = np.cumsum(is_known, axis=1)[pack, flight]
+    known_first = np.argsort(~is_known, axis=1, kind="stable")
+    demand = np.take_along_axis(critical, known_first, axis=1)
+    last = n_flights - 1
+    window = np.sort(_past(demand, pack, last, n_flights, WINDOW_FLIGHTS), axis=1)
+    recent = np.sort(_past(demand, pack, last, n_flights, RECENT_FLIGHTS), axis=1)
+    earlier = _past(demand, pack, last - TREND_FLIGHTS, n_flights, RECENT_FLIGHTS).mean(axis=1)
     trend = np.where(n_flights >= TREND_FLIGHTS + RECENT_FLIGHTS, recent.mean(axis=1) - earlier, 0.0)
     columns = [window[:, round(level * (WINDOW_FLIGHTS - 1))] for level in LEVELS]
     columns += [recent[:, round(level * (RECENT_FLIGHTS - 1))] for level in RECENT_LEVELS]
@@ -75,12 +77,6 @@ def repeated_demand(critical: Array, of: int = 3) -> Array:
     for lag in range(1, of):
         before[:, lag:] = np.fmax(before[:, lag:], critical[:, :-lag])
     return np.asarray(np.minimum(critical, before))
-
-
-def _fill_forward(values: Array) -> Array:
-    """Return the last known value of each row, NaN before the first. (packs, flights)"""
-    index = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
-    return np.take_along_axis(values, np.maximum.accumulate(index, axis=1), axis=1)
 
 
 def _past(values: Array, pack: Index, flight: Index, n_flights: Index, flights: int) -> Array:

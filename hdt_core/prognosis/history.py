@@ -173,10 +173,10 @@ def _passages(ratio: Array, demand: Array, rate: Array, rate_sd: Array) -> dict[
 
 
 def _thermal_features(panel: Panel) -> dict[str, Array]:
-    """Compute `THERMAL`. (units, flights) each"""
+    """Compute `THERMAL`; those of a flight without a value are the last flight's with one. (units, flights) each"""
     angle = 2.0 * np.pi * panel.day / 365.25
     hot = np.where(np.isnan(panel.overheat_k), np.nan, panel.overheat_k > HOT_K)
-    return {
+    thermal = {
         "overheat_10": _mean_finite(panel.overheat_k, 10),
         "overheat_40": _mean_finite(panel.overheat_k, 40),
         "overheat_most_40": _rolling_max(np.nan_to_num(panel.overheat_k), 40) + 0.0 * panel.overheat_k,
@@ -184,9 +184,16 @@ def _thermal_features(panel: Panel) -> dict[str, Array]:
         "hot_share_40": _mean_finite(hot, 40),
         "full_open_10": _mean_finite(panel.full_open, 10),
         "full_open_40": _mean_finite(panel.full_open, 40),
-        "season_sin": np.sin(angle),
-        "season_cos": np.cos(angle),
     }
+    last_known = _last_known(panel.overheat_k)
+    carried = {name: np.take_along_axis(values, last_known, axis=1) for name, values in thermal.items()}
+    return carried | {"season_sin": np.sin(angle), "season_cos": np.cos(angle)}
+
+
+def _last_known(values: Array) -> Index:
+    """Return for each flight the last one up to it with a finite value; the first where there is none."""
+    flights = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
+    return np.asarray(np.maximum.accumulate(flights, axis=1))
 
 
 def _lag(values: Array, flights: int) -> Array:

@@ -117,7 +117,7 @@ def test_no_flight_no_passage_no_trend_before_140_and_few_stand_for_the_window()
     critical = np.array([np.nan, 3.0, np.nan, 1.0, 5.0])
     assert np.isnan(of_flight(critical, 0)).all()
     assert of_flight(critical, 1) == [3.0] * 8 + [0.0]
-    # 3, 3, 1, 5 over and over
+    # 3, 1, 5 over and over
     assert of_flight(critical, 4) == [3.0, 5.0, 5.0, 5.0, 5.0, 5.0, 3.0, 5.0, 0.0]
     critical = np.array([[1.0, 2.0, 9.0], [np.nan, 7.0, 8.0]])
     most = demand_quantiles(critical, np.array([0, 1, 1]), np.array([1, 0, 1]))["asked_100"]
@@ -158,3 +158,10 @@ def test_reference_cruise_is_11_km_at_mach_84_another_level_has_its_pressure_and
     standard_k = 288.15 - 0.0065 * 9000.0
     hot = hot_day_tat_k(np.array([9000.0]), np.array([0.8]))
     assert hot[0] == pytest.approx((standard_k + 15.0) * (1.0 + 0.2 * 0.8**2))
+
+
+def test_flights_of_unknown_demand_do_not_count():
+    demand = np.random.default_rng(3).uniform(-0.5, 0.0, 60)
+    with_gap = np.r_[demand, np.full(80, np.nan)]
+
+    assert of_flight(with_gap, 139) == of_flight(demand, 59)

@@ -102,7 +102,7 @@ def test_what_flights_showed_is_averaged_over_the_last_ten_and_forty():
     valid = hot[20:][np.isfinite(hot[20:])]
     assert values["hot_share_40"][59] == pytest.approx((valid > 3.0).mean())
     assert values["overheat_most_40"][59] == 9.0
-    assert np.isnan(values["overheat_most_40"][5])
+    assert values["overheat_most_40"][5] == values["overheat_most_40"][4]
     once = record(np.zeros(80), overheat_k=np.where(np.arange(80) == 30, 9.0, 1.0))
     assert once["overheat_most_40"][[69, 70]].tolist() == [9.0, 1.0]
     assert np.isnan(record(np.zeros(3), overheat_k=np.full(3, np.nan))["overheat_10"]).all()
@@ -178,3 +178,11 @@ def test_nothing_from_the_future(cut):
     whole, early = features(level), features(level[:, :cut])
     for name in FEATURES:
         np.testing.assert_allclose(whole[name][:, :cut], early[name], atol=1e-9, err_msg=name)
+
+
+def test_flights_that_show_nothing_keep_the_last_averages():
+    hot = np.r_[np.linspace(0.0, 6.0, 50), np.full(60, np.nan)]
+
+    averages = record(np.zeros(110), overheat_k=hot)["overheat_40"]
+
+    assert averages[109] == averages[49]
