@@ -28,8 +28,8 @@ LEAST_EVIDENCE = 30.0
 """Sum of squares of the clear differences over the flights after the change; noise alone gives about a fifth of it."""
 REVERSED = -0.2
 """Ratio of each clear difference after to that before which is at most so, and -1 but for noise."""
-MOST = 0.8
-"""Share of the clear differences that must be reversed on an aircraft one exchange of which is known."""
+TO_BEGIN, TO_END = 0.8, 0.6
+"""Shares of the clear differences that must be reversed on an aircraft one exchange of which is known."""
 MEDIAN_TOLERANCE = 0.6
 """Deviation of the median ratio from -1."""
 MAX_CHANGES = 20
@@ -134,15 +134,16 @@ def are_reversed(before: Array, after: Array, share: float = 1.0) -> Array:
 def _flights_of_exchange(flights: pl.DataFrame) -> pl.DataFrame:
     """Select an aircraft's flights between each change and the next, which takes it back.
 
-    That it has a change is known. So its other changes need less: that what distinguishes the packs changed sign as a
-    whole, for a part may have been replaced meanwhile.
+    That it has one is known. So not all that distinguishes the packs must change sign, for a sensor or unit may have been
+    changed on the same flight.
     """
     as_before = flights
     changes = [0]
     while len(changes) <= MAX_CHANGES:
         before, after = _before_and_after(as_before)
         usual = np.where(np.abs(before) > CLEAR, before, 0.0)
-        is_change = are_reversed(before, after, MOST)
+        is_exchanged = len(changes) % 2 == 0
+        is_change = are_reversed(before, after, TO_END if is_exchanged else TO_BEGIN)
         further = np.flatnonzero(is_change & (np.arange(flights.height) > changes[-1]))
         if not further.size:
             break
