@@ -134,7 +134,7 @@ def are_reversed(before: Array, after: Array, share: float = 1.0) -> Array:
 def _flights_of_exchange(flights: pl.DataFrame) -> pl.DataFrame:
     """Select an aircraft's flights between each change and the next, which takes it back.
 
-    That it has one is known. So not all that distinguishes the packs must change sign, for a sensor or unit may have been
+    That it has one is known. So not all that distinguishes the packs must change sign: a sensor or unit may have been
     changed on the same flight.
     """
     as_before = flights
