@@ -223,7 +223,7 @@ def _shift_cases(
 
 
 def _shared_case(evidence: Indications, case: Case) -> list[Case]:
-    """Return the same case of the other pack, where both record one sensor."""
+    """Return the same case of the other pack, where both record one sensor or changed at once."""
     other = int(evidence.partner[case.unit])
     if case.facts["whose"] != "both" or other < 0:
         return []
@@ -254,7 +254,7 @@ def _merge_cases(cases: list[Case], evidence: Indications) -> list[Case]:
             and (c.closed_flight is None or case.raised_flight <= c.closed_flight + ECHO_FLIGHTS)
         ]
         on_other_pack = [
-            c for c in distinct if c.unit == other and c.facts["sensor"] == sensor and sensor not in SHARED_SENSORS
+            c for c in distinct if c.unit == other and c.facts["sensor"] == sensor and not _are_of_both_packs(c, case)
         ]
         echoes = [c for c in on_pack + on_other_pack if case.raised_flight <= c.raised_flight + ECHO_FLIGHTS]
         if not same and not echoes:
@@ -267,6 +267,11 @@ def _merge_cases(cases: list[Case], evidence: Indications) -> list[Case]:
             end = case.closed_flight
             same[0].closed_flight = None if end is None else max(same[0].closed_flight, end)
     return distinct
+
+
+def _are_of_both_packs(*cases: Case) -> bool:
+    """Return whether the cases are those of one fault that both packs show."""
+    return all(c.facts["whose"] == "both" or c.facts["sensor"] in SHARED_SENSORS for c in cases)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from scipy.special import ndtr
 
 from hdt_core.alerts import phrases
 from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, WEAR_LIMIT, Limits
+from hdt_core.alerts.fault_isolation import is_of_both_packs
 from hdt_core.components import Component
 from hdt_core.robust import Z_90
 
@@ -87,7 +88,12 @@ def sensor_addendum(facts: Facts) -> str:
     """Return the sensor by what it measures; of a contradiction, what to compare."""
     if facts["kind"] == CONTRADICTED:
         return phrases.COMPARE.format(day=facts["looked_on"])
-    return phrases.SENSOR_NAMED.format(sensor=phrases.plain_name(facts["sensor"]))
+    phrase = phrases.BOTH_NAMED if _is_of_both_packs(facts) else phrases.SENSOR_NAMED
+    return phrase.format(sensor=phrases.plain_name(facts["sensor"]))
+
+
+def _is_of_both_packs(facts: Facts) -> bool:
+    return is_of_both_packs(facts["sensor"], facts.get("whose", "own"))
 
 
 def within(value: float, sd: float, digits: int = 0) -> str:
@@ -281,8 +287,10 @@ def sensor(facts: Facts, since: str) -> Evidence:
         sigma=f"{facts['sigma']:.1f}",
         since=since,
     )
-    corroboration = Corroboration(SUPPORTS, phrases.SENSOR_FITS.format(odds=_probability(facts["p"])))
-    return Evidence(finding, (corroboration,), phrases.SENSOR_ELSE, phrases.SENSOR_COSTS)
+    corroborations = [Corroboration(SUPPORTS, phrases.SENSOR_FITS.format(odds=_probability(facts["p"])))]
+    if _is_of_both_packs(facts):
+        corroborations.append(Corroboration(SUPPORTS, phrases.BOTH_SENSORS))
+    return Evidence(finding, tuple(corroborations), phrases.SENSOR_ELSE, phrases.SENSOR_COSTS)
 
 
 def _contradiction(facts: Facts, since: str) -> Evidence:

@@ -102,6 +102,9 @@ NO_SENSOR = ("hx", "cc", "nothing")
 PART_CHANGE_ODDS = 10.0
 """Odds of such a change, and of nothing but chance, against the fault of one sensor: parts wear on every flight, a
 sensor fails once in some thousands."""
+BOTH_PACKS_ODDS = 0.3
+"""Odds that scale, map or software of a signal changed on both packs, against the fault of one sensor: a type's map is
+revised once in some years, and seldom in one signal."""
 EFFECT_ERROR = 0.3
 """Relative error of one entry of the matrix: types and flights differ."""
 STRAY, STRAY_SD = 1e-3, 20.0
@@ -138,7 +141,7 @@ def signatures() -> Signatures:
         own = np.array([size * c.effects.get(sensor, 0.0) / c.sd for c in checks])
         blur = np.hypot(EFFECT_ERROR * own, [size * c.effect_sds.get(sensor, 0.0) / c.sd for c in checks])
         for whose, mine, theirs in (("own", 1, 0), ("other", 0, 1), ("both", 1, 1)):
-            if whose != "both" or sensor in SHARED_SENSORS:
+            if whose != "both" or sensor not in NO_SENSOR:
                 names.append((sensor, whose))
                 own_shift = np.where(between, mine - theirs, mine) * own
                 shifts.append(np.concatenate([own_shift, theirs * ~between * own]))
@@ -147,11 +150,23 @@ def signatures() -> Signatures:
     names.append(("nothing", "own"))
     shifts.append(np.zeros_like(shifts[0]))
     blurs.append(np.zeros_like(shifts[0]))
-    usual = np.array([np.log(PART_CHANGE_ODDS) if sensor in NO_SENSOR else 0.0 for sensor, _ in names])
+    usual = np.log([_odds(sensor, whose) for sensor, whose in names])
     shift, blur = np.array(shifts), np.array(blurs)
     which, channel = np.nonzero((shift != 0.0) | (blur != 0.0))
     wander = np.tile([c.wander for c in checks], 2)
     return Signatures(tuple(names), shift, blur, usual, (which, channel), wander)
+
+
+def _odds(sensor: str, whose: str) -> float:
+    """Return the odds of a hypothesis against the fault of one sensor."""
+    if sensor in NO_SENSOR:
+        return PART_CHANGE_ODDS
+    return BOTH_PACKS_ODDS if is_of_both_packs(sensor, whose) else 1.0
+
+
+def is_of_both_packs(sensor: str, whose: str) -> bool:
+    """Return whether a fault is one of two sensors at once: their scale, map or software changed."""
+    return whose == "both" and sensor not in SHARED_SENSORS
 
 
 def classify(z: Array, flights: Array | float) -> list[tuple[str, str, float]]:

@@ -93,9 +93,11 @@ SENSOR_SHIFT = (
     "{sensor} left what physics ties it to: {check} moved by {moved} ({sigma} times its uncertainty) since {since}"
 )
 SENSOR_FITS = "the pattern over all cross checks fits this sensor with probability {odds}"
+BOTH_SENSORS = "on the other pack the same sensor moved with it: one change of scale, map or software, not two faults"
 SENSOR_ELSE = "another sensor of the same checks; wear leaves them alone"
 SENSOR_COSTS = "Until it is replaced the pack's health is judged without it, and less surely"
 SENSOR_NAMED = "; sensor: {sensor}"
+BOTH_NAMED = "; but {sensor} changed on both packs at once: look at the recorder's scale, map and software first"
 
 UPSTREAM = (
     "Find the cause upstream before another unit goes on (number {units} here in {days} days): ram inlet and "

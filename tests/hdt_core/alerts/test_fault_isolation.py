@@ -191,8 +191,8 @@ def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
     steps = [sign * 0.15 * (4.0 / 0.15) ** (i / 11) for i in range(12) for sign in (-1.0, 1.0)]
     checks, weight = (*CHANNELS, HX_STEP), {}
     for sensor, size in [*SIZES.items(), ("nothing", 0.0)]:
-        for whose in ("own", "other", "both") if sensor in ("tat_k", "total_pressure_pa", "mach") else ("own", "other"):
-            if sensor == "nothing" and whose == "other":
+        for whose in ("own", "other") if sensor in ("hx", "cc") else ("own", "other", "both"):
+            if sensor == "nothing" and whose != "own":
                 continue
             total = 0.0
             for step in steps:
@@ -215,7 +215,9 @@ def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
                             p += 1e-3 * np.exp(-0.5 * (shift - a) ** 2 / wide) / wide**0.5
                         log += np.log(p)
                 total += np.exp(log)
-            weight[sensor, whose] = total * (10.0 if sensor in ("hx", "cc", "nothing") else 1.0)
+            is_one_change = whose == "both" and sensor not in ("tat_k", "total_pressure_pa", "mach", "altitude_m")
+            odds = 0.3 if is_one_change else 10.0 if sensor in ("hx", "cc", "nothing") else 1.0
+            weight[sensor, whose] = total * odds
     return {name: w / sum(weight.values()) for name, w in weight.items()}
 
 

@@ -124,6 +124,17 @@ def test_a_probe_that_both_packs_record_is_a_case_of_both_and_another_of_one():
     assert (case.unit, case.facts["sensor"]) == (0, "pack_flow_kg_s")
 
 
+def test_flow_that_changes_on_both_packs_is_one_cause():
+    flow = checks(w_pack_over_compressor_flow_ln=0.08 * LATE, w_cc_out_pressure_over_schedule_ln=-0.02 * LATE)
+    columns = flow | {"running": True, "n_snapshots": 40}
+    none = np.zeros((2, FLIGHTS), dtype=bool)
+
+    cases = sensor_cases(both(columns, **columns), NOTHING, Limits(), none, none)
+
+    found = sorted((c.unit, c.facts["sensor"], c.facts["whose"]) for c in cases)
+    assert found == [(0, "pack_flow_kg_s", "both"), (1, "pack_flow_kg_s", "both")]
+
+
 def case(raised: int, closed: int | None = None, unit: int = 0, sensor: str = "mach", p: float = 0.96) -> Case:
     facts = {"sensor": sensor, "p": p, "kind": "shift", "since": raised, "whose": "own"}
     return Case(unit, "SENSOR", "SENSOR_FAULT", raised, closed, facts)

@@ -132,6 +132,13 @@ def test_a_compressor_in_figures():
     assert len(wording.compressor(facts | {"cc_diameter_left": NAN}, "F").corroborations) == 1
 
 
+@pytest.mark.parametrize(("whose", "is_held_back"), [("own", False), ("both", True)])
+def test_change_on_both_packs_sends_to_the_map(whose, is_held_back):
+    facts = {"kind": "shift", "sensor": "pack_flow_kg_s", "whose": whose}
+
+    assert ("look at the recorder's scale, map and software first" in wording.sensor_addendum(facts)) == is_held_back
+
+
 def test_doors_and_sensors_in_figures():
     door = wording.door({"kind": "lost travel", "stop": 0.42, "excess_k": 2.0}, "F07").text()
     assert "no further than 42 %: since F07 the outlet ran up to 2.0 K (6 times the scatter" in door
