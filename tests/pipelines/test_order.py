@@ -2,12 +2,14 @@
 
 from itertools import permutations
 
+import dagster as dg
 import polars as pl
 import pytest
 
 from pipelines.lineage import STAGE, STAGES, declare_stage, steps
-from pipelines.orchestration import batches
-from pipelines.orchestration.runs import Runner
+from pipelines.orchestration import batches, runs
+from pipelines.orchestration.runs import RemoteExecutor, Runner
+from pipelines.resources import NIGHT
 
 
 def test_every_stage_is_made_once_and_after_what_it_needs():
@@ -214,3 +216,53 @@ def test_halves_that_are_made_mend_a_batch_and_each_reason_is_told_once_with_its
     batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(8)))
     done = OfOneAircraft(None, None, None, {}).make([], batch, "twins")
     assert list(done.failed.values()) == ["flight 3, flight 6: boom; flight 5: bang"]
+
+
+def test_ends_of_a_batch_follow_the_partitions_and_not_the_names():
+    late = [*FLIGHTS[1:], FLIGHTS[0]]
+    index = batches.PartitionIndex(KEYS, late, {KEYS[0]: {*FLIGHTS}})
+    cells = cells_of(*(("AAA", "T1", f"T1_{flight}") for flight in FLIGHTS))
+
+    (batch,) = index.batches("flight", cells)
+
+    assert batch.flights == (FLIGHTS[1], FLIGHTS[0])
+
+
+@pytest.fixture
+def runner():
+    """Runner of an instance that lasts as long as the test; it makes nothing."""
+    with dg.DagsterInstance.ephemeral() as instance:
+        yield Runner(dg.Definitions(), instance, None, {})
+
+
+@dg.job
+def no_work():
+    """A job without a step."""
+
+
+def start(instance: dg.DagsterInstance, run: dg.DagsterRun) -> None:
+    """Record that a run has started, as its process does."""
+    event = dg.DagsterEvent(dg.DagsterEventType.PIPELINE_START.value, run.job_name)
+    instance.report_dagster_event(event, run.run_id)
+
+
+@pytest.mark.parametrize(("tags", "is_failed"), [(NIGHT, True), ({"user": "an engineer"}, False)])
+def test_only_runs_of_a_killed_night_are_failed(runner, tags, is_failed):
+    run = runner.instance.create_run_for_job(no_work, tags=tags)
+    start(runner.instance, run)
+
+    runner.fail_orphaned_runs()
+
+    assert runner.instance.get_run_by_id(run.run_id).is_failure == is_failed
+
+
+def test_runs_sent_out_by_a_killed_night_are_awaited(runner, monkeypatch):
+    answers = iter([True, True, False])
+    waits = []
+    monkeypatch.setattr(runs, "daemon_answers", lambda instance: True)
+    monkeypatch.setattr(runs, "is_active", lambda instance, tags: next(answers))
+    monkeypatch.setattr(runs.time, "sleep", waits.append)
+
+    RemoteExecutor(runner).settle()
+
+    assert waits == [runs.LOOK_S, runs.LOOK_S]

@@ -253,3 +253,13 @@ def test_units_count_from_ninety_days_before_the_alert(late_s: int, units: int) 
     raised = alerts(rows, work(departure(0)).clear())["raised_at"][0]
     log = [work(raised - timedelta(days=90, seconds=-late_s), timed=True), work(departure(4 * 60), timed=True)]
     assert alerts(rows, pl.concat(log))["units_in_90_days"].to_list() == [units]
+
+
+def test_units_fitted_after_the_alert_do_not_count() -> None:
+    flight = np.arange(4 * 110)
+    rows = features(np.where(flight < 4 * 98, 0.01, 0.01 + 0.005 * (flight - 4 * 98)))
+    log = [work(departure(4 * day), timed=True) for day in (60, 108)]
+
+    (alert,) = alerts(rows, pl.concat(log)).to_dicts()
+
+    assert (alert["closed_reason"], alert["units_in_90_days"]) == ("renewed", 2)

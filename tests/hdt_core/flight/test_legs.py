@@ -141,6 +141,12 @@ def test_a_pack_is_off_below_a_fifth(flow, reason):
     assert codes == [reason if flow != 0.2 else "", "OTHER_PACK_OFF" if reason == "PACK_OFF" else ""]
 
 
+def test_samples_in_icing_are_not_nominal():
+    _, samples = judge_legs(leg(altitude_m=6000.0, tat_k=some(270.0, 4, 250.0)))
+
+    assert samples.sort("time_utc")["nominal"].to_list() == [False] * 4 + [True] * 8
+
+
 @pytest.mark.parametrize(
     ("rows", "n", "missing"), [(24, 3, True), (20, 2, False), (26, 3, False), (25, 3, False), (17, 2, False)]
 )

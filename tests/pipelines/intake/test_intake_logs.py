@@ -11,7 +11,7 @@ from hdt_core.tables import TABLES
 from pipelines.intake.findings import DEFAULTS, NAME, CostError, case_files, costs_or_fault, read_costs, with_findings
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake
-from pipelines.intake.logs import is_done, read_checks, read_fleet, read_maintenance, read_messages
+from pipelines.intake.logs import is_done, or_stored, read_checks, read_fleet, read_maintenance, read_messages
 
 MESSAGE = "message_time,flight_id,pack,code,text\n"
 WORK = "done_on,pack,component,action,finding,reference\n"
@@ -107,6 +107,24 @@ def test_the_fleet_list_says_which_packs_there_are_and_since_when(deliver, now):
     reasons = dict(log.quarantine.select("reason", "column_name").iter_rows())
     assert reasons == {"bad_pack": "pack", "before_delivery": "done_on"}
     assert "2013-05-03" in log.quarantine.filter(reason="before_delivery")["detail"].item()
+
+
+def test_log_of_bad_lines_leaves_the_stored_rows(deliver, now):
+    path = "AQX/LX-AAA/maintenance.csv"
+    stored = read_maintenance(deliver({path: (WORK + "2024-05-03,1,HX,REPLACED,,WO1\n").encode()})[0], now).rows
+
+    again = read_maintenance(deliver({path: (WORK + "2024-05-03,9,HX,REPLACED,,WO1\n").encode()})[0], now)
+
+    assert or_stored(again, stored).rows.equals(stored)
+
+
+def test_log_with_a_good_line_replaces_the_stored_rows(deliver, now):
+    path = "AQX/LX-AAA/maintenance.csv"
+    stored = read_maintenance(deliver({path: (WORK + "2024-05-03,1,HX,REPLACED,,WO1\n").encode()})[0], now).rows
+
+    again = read_maintenance(deliver({path: (WORK + "2024-05-04,1,HX,REPLACED,,WO2\n").encode()})[0], now)
+
+    assert or_stored(again, stored).rows["reference"].to_list() == ["WO2"]
 
 
 BEFORE_CHECKS = dt.datetime(2024, 6, 19, tzinfo=dt.UTC)

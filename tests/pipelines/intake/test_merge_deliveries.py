@@ -29,6 +29,17 @@ def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, de
     assert conflict["received_at"] is not None
 
 
+def test_value_that_the_stored_row_lacks_is_set_aside(good_flight, deliver, read):
+    files = deliver({CSV: field(5, "hx_out_degc", b"")(good_flight), COPY: field(5, "tat_degc", b"")(good_flight)})
+
+    merged = merge_deliveries([read(files).rows], {})
+
+    (conflict,) = merged.quarantine.rows(named=True)
+    stored = merged.rows.filter(pl.any_horizontal(pl.col("hx_out_k", "tat_k").is_null()))
+    lacked = stored.select("hx_out_k", "tat_k").unpivot().filter(pl.col("value").is_null())["variable"].to_list()
+    assert [conflict["column_name"]] == lacked
+
+
 @pytest.mark.parametrize(
     ("to_time", "n_stored"), [(lambda t: "2024-05-25T17:00:00Z", 2), (lambda t: t[:-3] + "00Z", 42)]
 )
