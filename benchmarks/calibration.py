@@ -26,6 +26,7 @@ from benchmarks.harness import DOCS, Texts, markdown, run
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import cruise_samples, flights_of
 from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.component_fit import flight_by_flight
 from hdt_core.calibration.compressor import compressor_samples, fit_compressor
 from hdt_core.calibration.dsm import Dsm, elasticities, flow_elasticities
 from hdt_core.calibration.flight_estimates import estimate_flights
@@ -47,7 +48,6 @@ from hdt_core.simulate.design import (
 )
 from hdt_core.simulate.packs import clean, outlets
 from hdt_core.simulate.signals import demand
-from hdt_core.tracking.component import flight_by_flight
 from hdt_core.tracking.track import track
 
 KEY = ["tail", "flight_id", "pack"]

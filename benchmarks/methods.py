@@ -27,6 +27,7 @@ from hdt_benchmark.oscillator_kernels import oscillator_kernels
 from hdt_benchmark.spring_mass_damper import DT_S, SIGMA_M, SPRING_MASS_DAMPER, TRUTH, WRONG_GUESS, force_n
 from hdt_core.calibration.arrays import complete_air_data, cruise_samples, flights_of
 from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.component_fit import calibrate_component, flight_by_flight
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.components import Component
 from hdt_core.components.pack import CC, HX
@@ -38,7 +39,7 @@ from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
 from hdt_core.robust import Z_90
 from hdt_core.simulate.design import FleetSettings
-from hdt_core.tracking.component import calibrate_component, flight_by_flight, track_component
+from hdt_core.tracking.component import track_component
 from hdt_core.tracking.component_units import design_offset
 from hdt_core.tracking.track import track
 

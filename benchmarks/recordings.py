@@ -23,10 +23,10 @@ import numpy as np
 import polars as pl
 
 from benchmarks.harness import DOCS, Texts, best_cpu_s, markdown, run
+from hdt_core.calibration.component_fit import calibrate_component
 from hdt_core.components import components
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
-from hdt_core.tracking.component import calibrate_component
 from hdt_recorder.aircraft_types import AircraftType, read_type
 from hdt_recorder.decoding.coding import Coding, Polynomial
 from hdt_recorder.decoding.decode import Series

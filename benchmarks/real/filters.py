@@ -15,11 +15,12 @@ from matplotlib.figure import Figure
 
 from benchmarks.real.lifetimes import Foretold, Rows, coverage, foretell, history_features
 from benchmarks.real.recipe import Array, Flags, Index, Recipe, Result, Score, scored
+from hdt_core.calibration.component_fit import calibrate_component, flight_by_flight
 from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.prognosis.hazard import EDGES, quantile
 from hdt_core.prognosis.metrics import constant_interval_score, interval_score
-from hdt_core.tracking.component import DesignOffset, calibrate_component, flight_by_flight, track_component
+from hdt_core.tracking.component import DesignOffset, track_component
 
 FAILS_PA = 600.0
 SECOND = 10

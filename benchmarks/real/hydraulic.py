@@ -13,9 +13,9 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from benchmarks.real.recipe import Array, Recipe, Result, scored
+from hdt_core.calibration.component_fit import calibrate_component, flight_by_flight
 from hdt_core.physics.effectiveness import counterflow_effectiveness
 from hdt_core.physics.model import Param, PhysicsModel, Signal
-from hdt_core.tracking.component import calibrate_component, flight_by_flight
 
 FULL, LEAST = 100, 3
 AS_BUILT = 200

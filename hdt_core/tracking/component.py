@@ -1,28 +1,18 @@
-"""Calibrate a declared component on nominal flights, estimate it flight by flight with any estimator (the paper's
-Figure 10) and filter its health along them.
+"""Filter a declared component's health along its flights, each estimated by `calibration.component_fit`."""
 
-The pack's own parts use the closed form of `calibration.flight_estimates` and `calibration.compressor`, which gives the
-same estimates.
-"""
-
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
-from hdt_core.calibration.arrays import Array, flights_of
+from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.baseline_wear import ENTRY, MIN_FLIGHT_SD, EntryWear
+from hdt_core.calibration.component_fit import WITHOUT_ESTIMATE
 from hdt_core.components import Component
 from hdt_core.components.declaration import CLEANED
 from hdt_core.components.pack import HX
-from hdt_core.estimation import Estimate, Estimator, NonlinearLeastSquares, estimators
-from hdt_core.estimation.declared import declared_problem
-from hdt_core.estimation.estimate import estimate_each
-from hdt_core.estimation.problem import Belief, Problem, unknown
-from hdt_core.physics.model import Param, PhysicsModel
-from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, split_packs
+from hdt_core.physics.model import Param
+from hdt_core.records.keys import IN_ORDER, split_packs
 from hdt_core.robust import MAD_TO_SD
 from hdt_core.tracking.loss_filter import Loss, TrackResult, join_tracks, track_loss
 from hdt_core.tracking.segments import SEGMENT_FLIGHTS
@@ -36,62 +26,6 @@ WASH_SHARE = 0.5
 """Of the work that the log lacks, on a component that is cleaned."""
 UNKNOWN_SD = 0.3
 """Of a design without a declared prior, about the calibrated one. [ln loss]"""
-WITHOUT_ESTIMATE = ("diverged", "not_identifiable")
-"""Statuses of a flight whose values are no estimate."""
-MIN_SAMPLES = 3
-
-
-def declared_estimator(component: Component) -> Estimator:
-    """Return the method that the component declares.
-
-    Raises
-    ------
-    ValueError
-        No installed package has a method of this name.
-    """
-    methods = estimators()
-    if component.estimator not in methods:
-        raise ValueError(f"component {component.code}: estimator is {', '.join(methods)}, not {component.estimator}")
-    return methods[component.estimator]
-
-
-def calibrate_component(
-    model: PhysicsModel, samples: pl.DataFrame, estimator: Estimator | None = None
-) -> tuple[PhysicsModel, Estimate]:
-    """Estimate the `design` parameters from nominal samples, health at its nominal value; a declared prior counts.
-
-    Parameters
-    ----------
-    samples : DataFrame
-        Columns named as the model's inputs and outputs.
-    estimator : Estimator, optional
-        Nonlinear least squares where not given.
-
-    Returns
-    -------
-    PhysicsModel, Estimate
-        The digital system model: the same declaration with the estimates as its nominal values; and the estimate. Its
-        status is `weakly_identifiable` where the nominal samples leave a design parameter open, which `Estimate.weak`
-        names: health at other flows or temperatures than theirs then rests on a guess.
-
-    Raises
-    ------
-    ValueError
-        The samples do not determine the design, or the estimate is not finite.
-    """
-    free = [p.name for p in model.free("design")]
-    problem = samples_problem(samples, model, free, recorded_outputs(model, samples), design_prior(model))
-    estimate = (estimator or NonlinearLeastSquares()).estimate(problem)
-    if estimate.status in WITHOUT_ESTIMATE:
-        raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {estimate.status}")
-    return model.calibrated(dict(zip(free, map(float, estimate.belief.mean), strict=True))), estimate
-
-
-def design_prior(model: PhysicsModel) -> Belief | None:
-    """Return the declared prior of the design; None where a parameter has no standard deviation."""
-    free = model.free("design")
-    sd = [p.sd for p in free if p.sd is not None]
-    return Belief(np.array([p.nominal for p in free]), np.diag(np.square(sd))) if len(sd) == len(free) else None
 
 
 class DesignOffset(NamedTuple):
@@ -211,79 +145,3 @@ def scatter_sd(wear: Array, own_variance: Array, usual_sd: float = MIN_FLIGHT_SD
         return usual_sd
     excess_var = (MAD_TO_SD * np.median(np.abs(steps))) ** 2 / 2.0 - own_variance[has_wear].mean()
     return float(np.sqrt(max(excess_var, MIN_FLIGHT_SD**2)))
-
-
-def flight_by_flight(
-    samples: pl.DataFrame,
-    model: PhysicsModel,
-    free: Sequence[str],
-    *,
-    outputs: Sequence[str] | None = None,
-    estimator: Estimator | None = None,
-) -> pl.DataFrame:
-    """Estimate parameters `free` of `model` from every flight and pack alone, all others at their nominal values.
-
-    Parameters
-    ----------
-    samples : DataFrame
-        `PACK`, `flight_id`, `time_utc` and columns named as the model's inputs and outputs; nominal or steady samples.
-    outputs : sequence of str, optional
-        Outputs to compare; all that have a sensor and a column where not given.
-    estimator : Estimator, optional
-        Nonlinear least squares, the paper's, where not given.
-
-    Returns
-    -------
-    DataFrame
-        One row a flight and pack of three samples or more, in order: `FLIGHT_PACK`, `departed_at`, a column and an
-        `_sd` for each of `free`, `status`, `n_evals` (model evaluations).
-
-    Notes
-    -----
-    Least squares starts every flight in the middle of the declared bounds, so that all are estimated side by side;
-    another method, as the paper, at the last estimate that converged. Both end on the same optimum.
-    """
-    outputs = recorded_outputs(model, samples) if outputs is None else outputs
-    order = flights_of(samples).select(*FLIGHT_PACK, "departed_at")
-    complete = samples.drop_nulls([*(s.name for s in model.inputs), *outputs]).drop("departed_at", strict=False)
-    complete = complete.filter(pl.len().over(FLIGHT_PACK) >= MIN_SAMPLES)
-    complete = complete.join(order, on=FLIGHT_PACK, validate="m:1").sort(*IN_ORDER, "time_utc")
-    start = np.array([model.param(name).bounds for name in free]).mean(axis=1)
-    problem = samples_problem(complete, model, free, outputs, unknown(start))
-    key = pl.struct(FLIGHT_PACK)
-    problem = replace(problem, group=complete.select(key.rle_id().cast(pl.Int64))[:, 0].to_numpy())
-    estimates = estimate_each(estimator or NonlinearLeastSquares(), problem) if complete.height else []
-    posterior = [(*e.belief.mean.tolist(), *e.belief.sd.tolist(), e.status, e.n_evals) for e in estimates]
-    schema = dict.fromkeys((*free, *(f"{name}_sd" for name in free)), pl.Float64())
-    values = pl.DataFrame(posterior, schema=schema | {"status": pl.String(), "n_evals": pl.Int64()}, orient="row")
-    flights = complete.select(*FLIGHT_PACK, "departed_at").unique(maintain_order=True)
-    return pl.concat([flights, values], how="horizontal")
-
-
-def recorded_outputs(model: PhysicsModel, samples: pl.DataFrame) -> list[str]:
-    """List outputs of the model that have a sensor and a column.
-
-    Raises
-    ------
-    ValueError
-        There is none.
-    """
-    sensors = [s.name for s in model.outputs if s.sigma is not None]
-    outputs = [name for name in sensors if name in samples.columns]
-    if not outputs:
-        raise ValueError(
-            f"{model.name}: the samples hold no column of {', '.join(sensors) or 'an output with a sigma'}"
-        )
-    return outputs
-
-
-def samples_problem(
-    samples: pl.DataFrame,
-    model: PhysicsModel,
-    free: Sequence[str],
-    outputs: Sequence[str],
-    prior: Belief | None = None,
-) -> Problem:
-    """Build the estimation problem of `samples`."""
-    inputs = {s.name: samples[s.name].to_numpy() for s in model.inputs}
-    return declared_problem(model, free, inputs, {name: samples[name].to_numpy() for name in outputs}, prior=prior)

@@ -9,6 +9,13 @@ import polars as pl
 from scipy.stats import median_abs_deviation
 
 from hdt_core.calibration.arrays import Array
+from hdt_core.calibration.component_fit import (
+    WITHOUT_ESTIMATE,
+    calibrate_component,
+    declared_estimator,
+    design_prior,
+    flight_by_flight,
+)
 from hdt_core.components import Component, Reading
 from hdt_core.flight.component_legs import MIN_SAMPLES, NO_EVIDENCE, component_legs, component_samples, lacks_channel
 from hdt_core.flight.legs import reject_odd_bleed
@@ -17,16 +24,7 @@ from hdt_core.records.keys import LEG, PACK, is_among
 from hdt_core.records.unit_index import number_units, select_entries
 from hdt_core.robust import MAD_TO_SD
 from hdt_core.tables.twin import CalibrationComponents, TwinCheckpoints, TwinHealth
-from hdt_core.tracking.component import (
-    WITHOUT_ESTIMATE,
-    DesignOffset,
-    calibrate_component,
-    declared_estimator,
-    design_prior,
-    flight_by_flight,
-    track_component,
-    wear_of,
-)
+from hdt_core.tracking.component import DesignOffset, track_component, wear_of
 from hdt_core.tracking.loss_filter import FILTERED, TrackResult, health_rows, join_tracks
 
 MOST, FEWEST, SHARE_OF_LIFE = 100, 10, 0.1

@@ -9,6 +9,7 @@ import pytest
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import Points, cruise_samples, flights_of, level_points, to_points
+from hdt_core.calibration.component_fit import flight_by_flight
 from hdt_core.calibration.compressor import (
     BLADE_ANGLE_RAD,
     HUB_RATIO,
@@ -24,7 +25,6 @@ from hdt_core.estimation.panel import PanelLeastSquares, Walk
 from hdt_core.physics.compressor import COMPRESSOR, group_at_m3, inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.records.keys import PACK
-from hdt_core.tracking.component import flight_by_flight
 
 
 def compressor_rows(samples: pl.DataFrame) -> pl.DataFrame:

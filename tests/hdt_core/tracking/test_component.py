@@ -12,12 +12,13 @@ from cooler_rig import FAULTS, follow_rig
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.model_selection import GroupKFold, cross_val_predict
 
+from hdt_core.calibration.component_fit import calibrate_component, flight_by_flight
 from hdt_core.components.pack import HX
 from hdt_core.estimation import ExtendedKalman
 from hdt_core.health.residuals import component_residuals
 from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER
 from hdt_core.physics.model import Param, PhysicsModel, Signal
-from hdt_core.tracking.component import DesignOffset, calibrate_component, flight_by_flight, track_component
+from hdt_core.tracking.component import DesignOffset, track_component
 
 BUILT = HEAT_EXCHANGER.calibrated({"hx_ua_reference_w_k": 1700.0})
 LOSS = np.repeat([0.0, 0.1, 0.25, 0.4], 30)

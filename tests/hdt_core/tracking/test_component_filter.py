@@ -9,6 +9,7 @@ import pytest
 from by_hand import flights, log
 from polars.testing import assert_frame_equal
 
+from hdt_core.calibration.component_fit import design_prior
 from hdt_core.components import Component, Limit, Reading, components
 from hdt_core.components.unmetered_exchanger import UNMETERED, sprayed_hot_out_k
 from hdt_core.flight.component_legs import component_samples
@@ -16,7 +17,6 @@ from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.tracking.component import (
     DesignOffset,
     _loss,
-    design_prior,
     scatter_sd,
     track_component,
     wear_of,

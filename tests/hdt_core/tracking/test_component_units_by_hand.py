@@ -8,10 +8,10 @@ import polars as pl
 import pytest
 from by_hand import flights, log
 
+from hdt_core.calibration.component_fit import MIN_SAMPLES, declared_estimator, flight_by_flight, recorded_outputs
 from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.records.keys import LEG, PACK
-from hdt_core.tracking.component import MIN_SAMPLES, declared_estimator, flight_by_flight, recorded_outputs
 from hdt_core.tracking.component_units import (
     _as_built,
     _calibrate_pack,
