@@ -40,7 +40,7 @@ class Recipe:
     judged : bool
         Only which flights of the parents are held counts, and each cell of a child depends on its own flights alone.
     settings : tuple of str
-        Settings of the home that count: accepted physical terms, alert limits (`settings.HOME_SETTINGS`).
+        Settings of the home that count: accepted physical terms, alert limits, estimators (`settings.HOME_SETTINGS`).
     code : str
         Version of the code; raise it when what is computed changes.
     """
@@ -158,11 +158,11 @@ STAGES = (
         "calibration", "calibration",
         "calibration_dsm", "calibration_design", "calibration_schedules", "calibration_window",
         parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"), baseline=True,
-        code="17", label="digital system model",
+        settings=("design of packs",), code="18", label="digital system model",
     ),
     declare_stage(
-        "twin_flights", "twin", "twin_flights", parents=("legs_samples", "calibration_dsm"), code="5",
-        fresh="twin_flights", label="operational twins",
+        "twin_flights", "twin", "twin_flights", parents=("legs_samples", "calibration_dsm"),
+        settings=("health of packs",), code="5", fresh="twin_flights", label="operational twins",
     ),
     declare_stage("residuals", "residuals", "residuals", parents=("twin_flights",), code="3", fresh="residuals"),
     declare_stage(
@@ -179,11 +179,13 @@ STAGES = (
     ),
     declare_stage(
         "calibration_components", "calibration", "legs_components", "calibration_components",
-        parents=("raw_components", "raw_maintenance", "raw_reports", HELD), settings=("terms",), code=f"3 {DECLARED}",
+        parents=("raw_components", "raw_maintenance", "raw_reports", HELD),
+        settings=("terms", "design of components"), code=f"4 {DECLARED}",
     ),
     declare_stage(
         "twin_health", "twin", "twin_health", "twin_checkpoints", "residuals_components",
-        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2, code="18",
+        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2,
+        settings=("health of components",), code="19",
         fresh="twin_health", label="health, features, alerts",
     ),
     declare_stage(  # legs are admitted after the twin, which does not depend on it

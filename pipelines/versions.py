@@ -36,11 +36,13 @@ def expected_versions(ledger: Ledger, table: str) -> pl.DataFrame:
 
 def _expected_versions(ledger: Ledger, table: str, parents: Mapping[str, pl.DataFrame]) -> pl.DataFrame:
     recipe, grain = LINEAGE[table], TABLES[table].grain
+    settings = (value for name in recipe.settings for value in HOME_SETTINGS[name](ledger.home))
+    code = " ".join((recipe.code, *settings))
     if recipe.files:
         return _file_versions(ledger, grain, recipe)
     if recipe.baseline or recipe.judged:
         lines = baseline_inputs(ledger) if recipe.baseline else map(str, judge_record(ledger).rows())
-        return _with_version(pl.DataFrame({"made_of": [digest(*lines)]}), recipe.code)
+        return _with_version(pl.DataFrame({"made_of": [digest(*lines)]}), code)
     if not recipe.parents:
         return _with_version(pl.DataFrame({"made_of": [table]}), recipe.code)
     first, *others = (parents[parent] for parent in recipe.parents)
@@ -50,8 +52,7 @@ def _expected_versions(ledger: Ledger, table: str, parents: Mapping[str, pl.Data
         first = (
             first.join(other, on=on, how=how, coalesce=True, validate="m:1") if on else first.join(other, how="cross")
         )
-    settings = (value for name in recipe.settings for value in HOME_SETTINGS[name](ledger.home))
-    return _with_version(first, " ".join((recipe.code, *settings)))
+    return _with_version(first, code)
 
 
 def find_stale_cells(ledger: Ledger, stage: Stage) -> pl.DataFrame:

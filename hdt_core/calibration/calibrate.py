@@ -16,15 +16,20 @@ from hdt_core.calibration.arrays import (
     to_points,
 )
 from hdt_core.calibration.baseline_wear import entry_posterior, first_levels, fleet_levels
+from hdt_core.calibration.component_fit import CLOSED_FORM, has_closed_form
 from hdt_core.calibration.compressor import compressor_samples, fit_compressor
 from hdt_core.calibration.dsm import Dsm, SensorBiases, version_of
 from hdt_core.calibration.exchanger import exchanger_panel
+from hdt_core.calibration.exchanger_by_method import design_by_method
 from hdt_core.calibration.flight_estimates import estimate_flights
 from hdt_core.calibration.inlet_law import learn_inlet
 from hdt_core.calibration.missing_physics import coefficients
 from hdt_core.calibration.pooling import PooledLevel, levels_of
 from hdt_core.calibration.sensor_biases import probe_corrections, sensor_prior
-from hdt_core.estimation.panel import PanelLeastSquares
+from hdt_core.components import Component
+from hdt_core.components.pack import PARTS, Parts
+from hdt_core.estimation import Estimate
+from hdt_core.estimation.panel import Panel, PanelLeastSquares
 from hdt_core.flight.legs import baseline_flights
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
@@ -35,7 +40,13 @@ from hdt_core.robust import median_error
 TERM_ROUNDS = 3
 
 
-def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: tuple[str, ...] = ()) -> Dsm:
+def calibrate(
+    samples: pl.DataFrame,
+    legs: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    terms: tuple[str, ...] = (),
+    parts: Parts = PARTS,
+) -> Dsm:
     """Calibrate the Digital System Model from the baseline flights among `samples`.
 
     Parameters
@@ -46,17 +57,25 @@ def calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFra
         `operator, tail, done_on, pack, component, action`; exchanger replacements split a pack's baseline into units.
     terms : tuple of str
         Physical terms accepted by name (`physics.terms`); coefficient and design are estimated in turn.
+    parts : Parts
+        The pack's parts, each with the estimator of its design. Levels are of the closed form's flight estimates.
 
     Returns
     -------
     Dsm
         Depends on the data set alone. With no usable flight it holds the priors and their standard deviations.
+
+    Raises
+    ------
+    ValueError
+        No installed package has a method that a part names.
     """
-    model = _calibrate(samples, legs, maintenance, dict.fromkeys(terms, 0.0))
+    model = _calibrate(samples, legs, maintenance, parts, dict.fromkeys(terms, 0.0))
     for _ in range(TERM_ROUNDS if terms else 0):
         estimates = estimate_flights(baseline_samples(samples), model)
         changes = coefficients(estimates, model, terms)
-        model = _calibrate(samples, legs, maintenance, {n: within(n, model.terms[n] + changes[n]) for n in terms})
+        values = {n: within(n, model.terms[n] + changes[n]) for n in terms}
+        model = _calibrate(samples, legs, maintenance, parts, values)
     return model
 
 
@@ -65,14 +84,16 @@ def baseline_samples(samples: pl.DataFrame) -> pl.DataFrame:
     return samples.filter(pl.col("flight_id").is_in(baseline_flights(flights_of(samples))))
 
 
-def _calibrate(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, terms: dict[str, float]) -> Dsm:
-    draft = _draft_model(samples, legs, terms)
+def _calibrate(
+    samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, parts: Parts, terms: dict[str, float]
+) -> Dsm:
+    draft = _draft_model(samples, legs, terms, parts)
     estimates = of_each_aircraft(baseline_samples(samples), lambda pack_samples: estimate_flights(pack_samples, draft))
     model = fleet_levels(estimates, maintenance, draft)
     return replace(model, levels=exchanger_levels(estimates, model))
 
 
-def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, float]) -> Dsm:
+def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, float], parts: Parts = PARTS) -> Dsm:
     """Build the model without the fleet's clean level, which needs its flight estimates."""
     flights = flights_of(samples)
     base = flights.filter(pl.col("flight_id").is_in(baseline_flights(flights)))
@@ -82,16 +103,16 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
     packs = flights.select(PACK).unique().sort(PACK)
     points = to_points(level_points(correct_inputs(cruise, terms), flights), packs)
     panel = exchanger_panel(points, *sensor_prior(cruise, packs))
-    estimate, bias = PanelLeastSquares().estimate(panel)
+    estimate, bias = _exchanger_design(points, panel, parts.exchanger)
     design = estimate.belief.mean
     machine = cruise_samples(window, monitored=False).join(nominal, on=FLIGHT_PACK, how="semi")
     corrections = probe_corrections(machine, packs)
-    compressor = fit_compressor(compressor_samples(machine, corrections))
+    compressor = fit_compressor(compressor_samples(machine, corrections), parts.compressor)
     counts = base.group_by(PACK).agg(pl.len().alias("n_flights"))
     rows = corrections.join(counts, on=PACK, how="left", maintain_order="left", validate="m:1")
     rows = rows.with_columns(pl.col("n_flights").fill_null(0))
     draft = Dsm(
-        dsm_version=version_of(_inputs(window), nominal.sort(FLIGHT_PACK)),
+        dsm_version=version_of(_inputs(window), nominal.sort(FLIGHT_PACK), methods=_methods(parts)),
         exchanger=tuple(design.tolist()),
         exchanger_cov=tuple(map(tuple, estimate.belief.cov.tolist())),
         gradient=tuple(_mean_gradient(points, design, bias).tolist()),
@@ -110,9 +131,19 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
         cruise_flows_kg_s=_middle_flows(points, design),
         terms=terms,
         exchanger_status=estimate.status,
+        exchanger_method=estimate.method,
     )
     cruise = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
     return replace(draft, hot_inlet=learn_inlet(cruise, draft.design, draft.bias_of(cruise)))
+
+
+def _exchanger_design(points: Points, panel: Panel, part: Component) -> tuple[Estimate, Array]:
+    """Estimate the design by the part's method, and the sensors' biases of each pack by the panel, (packs, 6)."""
+    if has_closed_form(part) or not len(points):
+        estimate, bias = PanelLeastSquares().estimate(panel)
+        return replace(estimate, method=CLOSED_FORM), bias
+    fit = PanelLeastSquares().fit(panel)
+    return design_by_method(points, panel, fit, part), fit.units
 
 
 def _mean_gradient(points: Points, design: Array, bias: Array) -> Array:
@@ -150,6 +181,11 @@ def exchanger_levels(twin_flights: pl.DataFrame, dsm: Dsm) -> tuple[PooledLevel,
     ln_levels = levels_of(levels, "hx_ua_reference_w_k")[1]
     ua = [float(np.exp(ln_ua + v.value)) for v in ln_levels]
     return tuple(replace(v, value=u, sd=u * float(np.hypot(v.sd, ln_sd))) for v, u in zip(ln_levels, ua, strict=True))
+
+
+def _methods(parts: Parts) -> tuple[str, ...]:
+    """List the parts that are not estimated in closed form, each with its method."""
+    return tuple(f"{part.code} {part.estimator}" for part in parts if not has_closed_form(part))
 
 
 def _inputs(window: pl.DataFrame) -> pl.DataFrame:

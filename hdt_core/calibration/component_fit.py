@@ -15,10 +15,30 @@ from hdt_core.estimation.estimate import estimate_each
 from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER
+from hdt_core.robust import spread_expr
 
 WITHOUT_ESTIMATE = ("diverged", "not_identifiable")
 """Statuses of a flight whose values are no estimate."""
 MIN_SAMPLES = 3
+LEAST_LOSS = -1.0
+"""Lower bound of a loss counted from a fleet's part, of which a unit may be far better. [-]"""
+FAR_SD = 4.0
+"""Robust standard deviations from a flight's median at which a sample is a spike, and no method's business."""
+
+
+CLOSED_FORM = "nls"
+"""Method of which the night computes the answer on the pack's parts in closed form, sample by sample."""
+
+
+def has_closed_form(part: Component) -> bool:
+    """Check whether a part of the pack is estimated in closed form."""
+    return part.estimator == CLOSED_FORM
+
+
+def is_regular(column: str) -> pl.Expr:
+    """Flag samples near their flight's median."""
+    deviation = (pl.col(column) - pl.col(column).median().over(FLIGHT_PACK)).abs()
+    return deviation <= FAR_SD * spread_expr(deviation).over(FLIGHT_PACK)
 
 
 def declared_estimator(component: Component) -> Estimator:
@@ -60,7 +80,7 @@ def calibrate_component(
         The samples do not determine the design, or the estimate is not finite.
     """
     free = [p.name for p in model.free("design")]
-    problem = samples_problem(samples, model, free, recorded_outputs(model, samples), design_prior(model))
+    problem = samples_problem(samples, model, free, recorded_outputs(model, samples), declared_prior(model, free))
     estimate = (estimator or NonlinearLeastSquares()).estimate(problem)
     if estimate.status in WITHOUT_ESTIMATE:
         raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {estimate.status}")
@@ -69,7 +89,12 @@ def calibrate_component(
 
 def design_prior(model: PhysicsModel) -> Belief | None:
     """Return the declared prior of the design; None where a parameter has no standard deviation."""
-    free = model.free("design")
+    return declared_prior(model, [p.name for p in model.free("design")])
+
+
+def declared_prior(model: PhysicsModel, names: Sequence[str]) -> Belief | None:
+    """Return the declared prior of some parameters; None where one has no standard deviation."""
+    free = [model.param(name) for name in names]
     sd = [p.sd for p in free if p.sd is not None]
     return Belief(np.array([p.nominal for p in free]), np.diag(np.square(sd))) if len(sd) == len(free) else None
 
@@ -81,6 +106,8 @@ def flight_by_flight(
     *,
     outputs: Sequence[str] | None = None,
     estimator: Estimator | None = None,
+    prior: Belief | None = None,
+    min_samples: int = MIN_SAMPLES,
 ) -> pl.DataFrame:
     """Estimate parameters `free` of `model` from every flight and pack alone, all others at their nominal values.
 
@@ -92,11 +119,15 @@ def flight_by_flight(
         Outputs to compare; all that have a sensor and a column where not given.
     estimator : Estimator, optional
         Nonlinear least squares, the paper's, where not given.
+    prior : Belief, optional
+        Of every flight; nothing is assumed where it is not given.
+    min_samples : int
+        Samples from which a flight is estimated.
 
     Returns
     -------
     DataFrame
-        One row a flight and pack of three samples or more, in order: `FLIGHT_PACK`, `departed_at`, a column and an
+        One row a flight and pack of so many samples, in order: `FLIGHT_PACK`, `departed_at`, a column and an
         `_sd` for each of `free`, `status`, `n_evals` (model evaluations).
 
     Notes
@@ -107,10 +138,10 @@ def flight_by_flight(
     outputs = recorded_outputs(model, samples) if outputs is None else outputs
     order = flights_of(samples).select(*FLIGHT_PACK, "departed_at")
     complete = samples.drop_nulls([*(s.name for s in model.inputs), *outputs]).drop("departed_at", strict=False)
-    complete = complete.filter(pl.len().over(FLIGHT_PACK) >= MIN_SAMPLES)
+    complete = complete.filter(pl.len().over(FLIGHT_PACK) >= min_samples)
     complete = complete.join(order, on=FLIGHT_PACK, validate="m:1").sort(*IN_ORDER, "time_utc")
     start = np.array([model.param(name).bounds for name in free]).mean(axis=1)
-    problem = samples_problem(complete, model, free, outputs, unknown(start))
+    problem = samples_problem(complete, model, free, outputs, unknown(start) if prior is None else prior)
     key = pl.struct(FLIGHT_PACK)
     problem = replace(problem, group=complete.select(key.rle_id().cast(pl.Int64))[:, 0].to_numpy())
     estimates = estimate_each(estimator or NonlinearLeastSquares(), problem) if complete.height else []

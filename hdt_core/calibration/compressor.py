@@ -4,16 +4,19 @@ As built: equation (6) and its rivals, the group of equations (2)-(4), the effic
 level times a curve of the diffuser's position that the fleet shares.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import polars as pl
 from scipy.special import log_ndtr
 
 from hdt_core.calibration.arrays import LEVEL_M, Array
+from hdt_core.calibration.component_fit import CLOSED_FORM, has_closed_form
+from hdt_core.calibration.compressor_by_method import line_by_method, pack_values
 from hdt_core.calibration.diffuser_line import BLOCK_FLIGHTS, FormFit, compare_forms, fit_line, rows_of
 from hdt_core.calibration.pooling import PooledLevel, levels_of
 from hdt_core.calibration.sensor_biases import CC_FLOW_BIAS_SD
+from hdt_core.components import Component
 from hdt_core.components.pack import CC
 from hdt_core.physics.compressor import (
     area_diameter_tan_beta_m3,
@@ -41,8 +44,8 @@ STEADY_SAMPLES = 5
 
 
 def compressor_samples(cruise: pl.DataFrame, corrections: pl.DataFrame) -> pl.DataFrame:
-    """Add `diameter_m` (equation 5), `group_m3` (equations 2-4), `efficiency` and their inlet, `inlet_k` and
-    `inlet_pa`, to cruise samples; null where not recorded."""
+    """Add `diameter_m` (equation 5), `group_m3` (equations 2-4), `efficiency` and what they rest on, `inlet_k`,
+    `inlet_pa`, `exit_k` and `exit_pa`, to cruise samples; null where not recorded."""
     cruise_rows = cruise.sort(*FLIGHT_PACK, "time_utc")
     rows = _average_levels(cruise_rows).join(corrections, on=PACK, how="left", maintain_order="left", validate="m:1")
     s = {
@@ -56,6 +59,8 @@ def compressor_samples(cruise: pl.DataFrame, corrections: pl.DataFrame) -> pl.Da
         values = {
             "inlet_k": inlet_k,
             "inlet_pa": inlet_pa,
+            "exit_k": s["cc_out_k"],
+            "exit_pa": exit_pa,
             "diameter_m": effective_diameter_m(inlet_pa, exit_pa, inlet_k, s["cc_speed_rad_s"]),
             "group_m3": area_diameter_tan_beta_m3(s["cc_flow_kg_s"], inlet_pa, inlet_k, s["cc_speed_rad_s"]),
             "efficiency": isentropic_efficiency(inlet_pa, exit_pa, inlet_k, s["cc_out_k"]),
@@ -130,6 +135,7 @@ class CompressorFit:
     vda_widest_counts: float
     forms: tuple[FormFit, ...] = ()
     levels: tuple[PooledLevel, ...] = ()
+    method: str = CC.estimator
 
     def diameter_m(self, vda_counts: Array) -> Array:
         """Compute the effective diameter of a sound machine with the diffuser at these positions. [m]"""
@@ -145,18 +151,21 @@ class CompressorFit:
         return self.vda_counts + (group_m3 - self.group_m3) / self.group_slope_m3_per_count
 
 
-def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
+def fit_compressor(samples: pl.DataFrame, part: Component = CC) -> CompressorFit:
     """Characterise the compressor over the baseline.
 
     Parameters
     ----------
     samples : DataFrame
         Of `compressor_samples`, baseline flights only.
+    part : Component
+        The compressor, with the estimator of its design.
 
     Returns
     -------
     CompressorFit
-        The paper's law with a wide band where the records hold too little.
+        The paper's law with a wide band where the records hold too little. Where the part's method estimates no pack,
+        that of the closed form, which `method` then names.
 
     Notes
     -----
@@ -165,17 +174,22 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
     """
     rows = rows_of(samples, "diameter_m")
     group, group_sd, group_levels = _pool(
-        samples, "group_m3", "cc_area_diameter_tan_beta_m3", CC_FLOW_BIAS_SD, wear=False
+        samples, "group_m3", "cc_area_diameter_tan_beta_m3", CC_FLOW_BIAS_SD, part, wear=False
     )
-    efficiency, efficiency_sd, efficiency_levels = _pool(samples, "efficiency", "cc_efficiency", PROBE_SD_LN, wear=True)
+    efficiency, efficiency_sd, efficiency_levels = _pool(
+        samples, "efficiency", "cc_efficiency", PROBE_SD_LN, part, wear=True
+    )
     flights = samples.select(FLIGHT_PACK).unique().height
     if len(rows.x) < MIN_POINTS or flights == samples.select(PACK).unique().height:
         return _prior(flights)  # one flight a pack: nothing to compare within a machine
-    line = fit_line(rows)
-    first_levels = pl.DataFrame({"level": line.level}).hstack(rows.blocks).filter(pl.col("turn") == 0)
+    line = fit_line(rows) if has_closed_form(part) else line_by_method(samples, rows, part)
+    if line is None:
+        return fit_compressor(samples, replace(part, estimator=CLOSED_FORM))
+    levels = pl.DataFrame({"level": line.level}).hstack(rows.blocks)
+    first_levels = levels.filter(turn=0).filter(pl.col("level").is_finite())
     as_built, as_built_sd = _as_built(first_levels["level"].to_numpy(), ENTRY_WEAR)
     # the slope is proportional to the level, so it is raised likewise
-    slope = line.slope * as_built / float(np.mean(line.level))
+    slope = line.slope * as_built / float(np.nanmean(line.level))
     slope_sd = float(np.hypot(line.slope_sd, slope * as_built_sd / as_built))
     group_slope, group_slope_sd = _group_slope(samples)
     form_fits = compare_forms(rows)
@@ -184,14 +198,14 @@ def fit_compressor(samples: pl.DataFrame) -> CompressorFit:
         intercept_m=as_built - slope * line.centre, intercept_sd_m=float(np.hypot(as_built_sd, slope_sd * line.centre)),
         slope_m_per_count=slope, slope_sd_m_per_count=slope_sd,
         scatter_m=spread(line.residual),
-        mae_m=linear.cv_mae_m if linear else float(np.abs(line.residual).mean()),
+        mae_m=linear.cv_mae_m if linear else float(np.nanmean(np.abs(line.residual))),
         r_squared=linear.r_squared if linear else 0.0,
         group_m3=group, group_sd_m3=group_sd,
         efficiency=efficiency, efficiency_sd=efficiency_sd,
         vda_counts=line.centre, vda_widest_counts=float(rows.x.max()),
         n_flights=flights,
         group_slope_m3_per_count=group_slope, group_slope_sd_m3_per_count=group_slope_sd,
-        forms=form_fits, levels=(*group_levels, *efficiency_levels),
+        forms=form_fits, levels=(*group_levels, *efficiency_levels), method=part.estimator,
     )  # fmt: skip
 
 
@@ -229,21 +243,27 @@ def _as_built(levels: Array, wear: float) -> tuple[float, float]:
 
 
 def _pool(
-    samples: pl.DataFrame, column: str, parameter: str, bias_sd: float, *, wear: bool
+    samples: pl.DataFrame, column: str, parameter: str, bias_sd: float, part: Component = CC, *, wear: bool
 ) -> tuple[float, float, tuple[PooledLevel, ...]]:
     """Pool a quantity: fleet value, standard deviation, and levels by operator and pack.
 
     With `wear` it is taken from each pack's first flights and raised by the expected wear at entry.
     """
     flights = samples.group_by(*FLIGHT_PACK).agg(pl.col(column).median(), pl.col("time_utc").min()).drop_nulls(column)
-    by_pack = flights.sort(*PACK, "time_utc", "flight_id").group_by(PACK, maintain_order=True)
-    packs = (by_pack.head(BLOCK_FLIGHTS).group_by(PACK, maintain_order=True) if wear else by_pack).agg(
-        pl.col(column).median().alias("value"), pl.len().alias("n"), pl.col(column).std().alias("spread")
-    )
+    flights = flights.sort(*PACK, "time_utc", "flight_id")
+    if wear:
+        flights = flights.group_by(PACK, maintain_order=True).head(BLOCK_FLIGHTS)
+    if has_closed_form(part):
+        packs = flights.group_by(PACK, maintain_order=True).agg(
+            pl.col(column).median().alias("value"), pl.len().alias("n"), pl.col(column).std().alias("spread")
+        )
+        random_sd = pl.coalesce("spread", 0.05 * pl.col("value")) * median_error(pl.col("n"))
+        packs = packs.with_columns(random_sd=random_sd)
+    else:
+        packs = pack_values(samples.join(flights, on=FLIGHT_PACK, how="semi"), parameter, part)
     if not packs.height:
         return *PRIOR[parameter], ()
-    random = pl.coalesce("spread", 0.05 * pl.col("value")) * median_error(pl.col("n"))
-    error = (random**2 + (bias_sd * pl.col("value")) ** 2).sqrt()
+    error = (pl.col("random_sd") ** 2 + (bias_sd * pl.col("value")) ** 2).sqrt()
     pool, levels = levels_of(packs.with_columns(error_sd=error), parameter)
     if wear:
         return *_as_built(packs["value"].to_numpy(), 2.0 * ENTRY_WEAR), levels

@@ -43,11 +43,7 @@ class BlockRows:
 
 def rows_of(samples: pl.DataFrame, column: str) -> BlockRows:
     """Build rows of a column of `compressor_samples` against the diffuser's position, by pack and time."""
-    rows = samples.select(*PACK, "time_utc", "flight_id", "vda_counts", column)
-    rows = rows.drop_nulls([column, "vda_counts"]).sort(*PACK, "time_utc", "flight_id")
-    middle = pl.col("vda_counts").median().over(PACK)
-    scatter = spread_expr(pl.col("vda_counts") - middle).over(PACK)
-    rows = rows.filter((pl.col("vda_counts") - middle).abs() <= FAR_SD * scatter + VDA_NOISE_COUNTS)
+    rows = regular_samples(samples.select(*PACK, "time_utc", "flight_id", "vda_counts", column), column)
     order = rows.select(pl.col("flight_id").rle_id().over(PACK).alias("order"), *PACK)
     turns = order.with_columns(turn=pl.col("order") // BLOCK_FLIGHTS)
     block = turns.select(pl.struct(*PACK, "turn").rle_id())[:, 0].to_numpy().astype(np.int64)
@@ -55,6 +51,14 @@ def rows_of(samples: pl.DataFrame, column: str) -> BlockRows:
     blocks = turns.select(*PACK, "turn").unique(maintain_order=True)
     x, y = (rows[c].to_numpy().astype(float) for c in ("vda_counts", column))
     return BlockRows(x, y, block, flight, blocks)
+
+
+def regular_samples(samples: pl.DataFrame, column: str) -> pl.DataFrame:
+    """Select samples with this column and a position that is no spike, by pack and time."""
+    rows = samples.drop_nulls([column, "vda_counts"]).sort(*PACK, "time_utc", "flight_id")
+    middle = pl.col("vda_counts").median().over(PACK)
+    scatter = spread_expr(pl.col("vda_counts") - middle).over(PACK)
+    return rows.filter((pl.col("vda_counts") - middle).abs() <= FAR_SD * scatter + VDA_NOISE_COUNTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +83,14 @@ def fit_line(rows: BlockRows) -> Line:
     residual = rows.y - level[rows.block] * (1.0 + steepness * (rows.x - centre))
     weight = huber_weights(np.abs(residual), spread(residual))
     deviation = rows.x - group_means(rows.x[:, None], rows.block, np.ones(len(weight)))[0][rows.block, 0]
-    reliable = 1.0 - VDA_NOISE_COUNTS**2 / max(float((deviation**2).mean()), 2.0 * VDA_NOISE_COUNTS**2)
+    reliable = reliable_share(deviation)
     slope, slope_sd = steepness * float(level.mean()), _clustered_sd(deviation, residual, rows.flight, weight)
     return Line(slope / reliable, slope_sd / reliable, level, centre, residual)
+
+
+def reliable_share(deviation: Array) -> float:
+    """Compute the share of the positions' variance that is no noise, from their deviations within blocks."""
+    return 1.0 - VDA_NOISE_COUNTS**2 / max(float((deviation**2).mean()), 2.0 * VDA_NOISE_COUNTS**2)
 
 
 def line_panel(rows: BlockRows, centre: float, size: float) -> Panel:

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration import exchanger as hx
+from hdt_core.calibration.component_fit import CLOSED_FORM
 from hdt_core.calibration.compressor import (
     BLADE_ANGLE_RAD,
     BLADE_ANGLE_SD_RAD,
@@ -20,6 +21,7 @@ from hdt_core.calibration.compressor import (
 from hdt_core.calibration.diffuser_line import FormFit
 from hdt_core.calibration.pooling import PooledLevel
 from hdt_core.calibration.sensor_biases import PROBE_BIASES
+from hdt_core.components.pack import HX
 from hdt_core.estimation.panel import forward_differences
 from hdt_core.loading import with_tuples
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
@@ -57,6 +59,8 @@ class Dsm:
         Design vector in the order of `hx.NAMES` and its covariance.
     exchanger_status : str
         How that estimate ended, a status of `Estimate`.
+    exchanger_method : str
+        What made it, `Estimate.method`.
     gradient : tuple
         Mean derivative of the ln conductance ratio by design over the baseline: where the model is anchored.
     clean_level, offset_sd : float
@@ -93,6 +97,7 @@ class Dsm:
     hot_inlet: tuple[float, ...] = ()
     terms: dict[str, float] = field(default_factory=dict)
     exchanger_status: str = ""
+    exchanger_method: str = HX.estimator
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as plain numbers, lists and strings, ready for JSON."""
@@ -131,9 +136,9 @@ class Dsm:
         return rows.select(pl.col(columns).fill_null(0.0)).to_numpy().T
 
 
-def version_of(*frames: pl.DataFrame) -> str:
-    """Hash the values of frames in the order of their rows: twelve hexadecimal digits."""
-    digest = hashlib.sha256()
+def version_of(*frames: pl.DataFrame, methods: tuple[str, ...] = ()) -> str:
+    """Hash methods, and the values of frames in the order of their rows: twelve hexadecimal digits."""
+    digest = hashlib.sha256("|".join(methods).encode())
     for frame in frames:
         digest.update("|".join(frame.columns).encode())
         digest.update(frame.clear().write_csv().encode())
@@ -144,10 +149,22 @@ def version_of(*frames: pl.DataFrame) -> str:
 
 def design_parameters(dsm: Dsm) -> pl.DataFrame:
     """Build the table of design parameters: one row a scope, component and parameter."""
-    rows = [*_exchanger_rows(dsm), *_compressor_rows(dsm), *_inlet_rows(dsm)]
-    rows += [*_level_rows(dsm), *_pack_rows(dsm)]
-    schema = CalibrationDesign.types("dsm_version")
-    return pl.DataFrame(rows, schema=schema, orient="row").with_columns(dsm_version=pl.lit(dsm.dsm_version))
+    of_compressor = pooled(dsm.compressor.method)
+    parts = [
+        (_exchanger_rows(dsm), dsm.exchanger_method),
+        (_compressor_rows(dsm), of_compressor),
+        (_inlet_rows(dsm), of_compressor),
+        (_level_rows(dsm.compressor.levels), of_compressor),
+        (_level_rows(dsm.levels), pooled(CLOSED_FORM)),
+        (_pack_rows(dsm), CLOSED_FORM),
+    ]
+    rows = [(*row, dsm.dsm_version, method) for of_part, method in parts for row in of_part]
+    return pl.DataFrame(rows, schema=CalibrationDesign.types(), orient="row")
+
+
+def pooled(method: str) -> str:
+    """Name the estimator of a value that was drawn from each pack's own."""
+    return f"{method}, pooled"
 
 
 def _exchanger_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
@@ -220,7 +237,7 @@ def _inlet_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
     ]
 
 
-def _level_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
+def _level_rows(levels: Iterable[PooledLevel]) -> list[tuple[Any, ...]]:
     units = {
         "cc_area_diameter_tan_beta_m3": ("CC", "m3"),
         "cc_efficiency": ("CC", "-"),
@@ -229,7 +246,7 @@ def _level_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
     return [
         ("operator" if v.tail is None else "tail", v.operator, v.tail, v.pack, units[v.parameter][0], v.parameter,
          v.value, v.sd, units[v.parameter][1], v.n_flights, v.sd < 0.1 * v.value)
-        for v in (*dsm.compressor.levels, *dsm.levels)
+        for v in levels
     ]  # fmt: skip
 
 

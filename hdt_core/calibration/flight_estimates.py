@@ -1,14 +1,21 @@
-"""Estimate each pack from one flight alone: maximum likelihood for all flights at once, in closed form per sample."""
+"""Estimate each pack from one flight alone: maximum likelihood for all flights at once, in closed form per sample.
+
+A part that names another method than the default is estimated by that one: see `flights_by_method`.
+"""
 
 import numpy as np
 import polars as pl
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import complete_air_data, correct_inputs, cruise_samples, flights_of
+from hdt_core.calibration.component_fit import has_closed_form
 from hdt_core.calibration.compressor import compressor_flights, compressor_samples
 from hdt_core.calibration.dsm import Dsm
+from hdt_core.calibration.flights_by_method import compressor_flights_by_method, exchanger_flights
 from hdt_core.calibration.inlet_law import inlet_above_law
 from hdt_core.calibration.sensor_biases import exit_differences
+from hdt_core.components import Component
+from hdt_core.components.pack import PARTS, Parts
 from hdt_core.estimation.descent import gauss_newton
 from hdt_core.estimation.problem import Problem, unknown
 from hdt_core.flight.samples import RUNNING_KG_S
@@ -36,7 +43,7 @@ EXCHANGER = ("ln_ua_ratio", "ln_ua_ratio_sd", "ln_ua_ratio_map_sd", "ua_w_k")
 MEDIANS = (*hx.SIGNALS, "ram_out_k")
 
 
-def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
+def estimate_flights(samples: pl.DataFrame, dsm: Dsm, parts: Parts = PARTS) -> pl.DataFrame:
     """Estimate every flight and pack in `samples` from the model and that flight only.
 
     Parameters
@@ -45,6 +52,8 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
         Of the leg filter: signals in SI, `phase`, `monitored`.
     dsm : Dsm
         Model in service.
+    parts : Parts
+        The pack's parts, each with the method that estimates it.
 
     Returns
     -------
@@ -53,14 +62,20 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
         that of the clean duct), its random `_sd` and the model's `_map_sd`; `ua_w_k`, `ram_flow_kg_s`,
         `effectiveness`; `ln_ram_ratio` (ram flow by heat balance over the clean map) where the ram outlet is measured;
         medians of the signals; effective diameter, group, efficiency of the compressor and what equation (6) expects.
-        `status`: ok, few_samples, no_cruise, implausible. Missing and non-finite values are null.
+        `status`: ok, few_samples, no_cruise, implausible, or how the exchanger's method ended without an estimate;
+        `cc_status` that of the compressor's. Missing and non-finite values are null.
+
+    Raises
+    ------
+    ValueError
+        No installed package has a method that a part names.
     """
     flights = flights_of(samples)
     cruise = cruise_samples(samples)
-    exchanger = _exchanger(correct_inputs(cruise, dsm.terms), dsm)
+    exchanger = _exchanger(correct_inputs(cruise, dsm.terms), dsm, parts.exchanger)
     checks = _cross_checks(samples, cruise, exchanger, dsm)
     cruise_all = cruise_samples(samples, monitored=False)
-    machine = compressor_flights(compressor_samples(cruise_all, dsm.pack_table()))
+    machine = _machine(compressor_samples(cruise_all, dsm.pack_table()), dsm, parts.compressor)
     rows = flights
     for table in (exchanger, checks, machine):
         rows = rows.join(table, on=FLIGHT_PACK, how="left", validate="m:1")
@@ -70,6 +85,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
     expected_m = dsm.compressor.diameter_m(rows["vda_counts"].cast(pl.Float64).to_numpy())
     status = (
         pl.when(odd).then(pl.lit("implausible"))
+        .when(pl.col("hx_status").is_not_null()).then("hx_status")
         .when(pl.col("ln_ua_ratio").is_null()).then(pl.lit("no_cruise"))
         .when(pl.col("n_samples") < 3).then(pl.lit("few_samples"))
         .otherwise(pl.lit("ok"))
@@ -81,13 +97,24 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
             status.alias("status"),
             *(pl.when(~odd).then(c).alias(c) for c in EXCHANGER),
         )
-        .drop("order")
+        .drop("order", "hx_status")
         .sort(IN_ORDER)
     )
 
 
-def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
-    rows = cruise.select(*FLIGHT_PACK, *MEDIANS).drop_nulls(list(hx.SIGNALS))
+def _machine(samples: pl.DataFrame, dsm: Dsm, part: Component) -> pl.DataFrame:
+    """Estimate the compressor of each flight: medians of the closed form, or the part's own method in their place."""
+    flights = compressor_flights(samples)
+    if has_closed_form(part):
+        return flights.with_columns(cc_status=pl.lit(None, dtype=pl.String))
+    estimates = compressor_flights_by_method(samples, dsm.compressor, part)
+    others = [c for c in flights.columns if c in FLIGHT_PACK or c not in estimates.columns]
+    return flights.select(others).join(estimates, on=FLIGHT_PACK, how="left", validate="1:1")
+
+
+def _exchanger(cruise: pl.DataFrame, dsm: Dsm, part: Component) -> pl.DataFrame:
+    times = ("time_utc", *(c for c in ("departed_at",) if c in cruise.columns))
+    rows = cruise.select(*FLIGHT_PACK, *times, *MEDIANS).drop_nulls(list(hx.SIGNALS))
     signals = with_static_pressure({name: rows[name].to_numpy().astype(float) for name in MEDIANS})
     bias = dsm.bias_of(rows)
     ratio = hx.ln_conductance_ratio(signals, dsm.design, bias)
@@ -106,6 +133,13 @@ def _exchanger(cruise: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:
         pl.col(*MEDIANS, "ram_flow_kg_s", "effectiveness", "ln_expected").median()
     )
     rows = _locate(values, "ratio", "ln_ua_ratio").rename({"n": "n_samples"})
+    if has_closed_form(part):
+        rows = rows.with_columns(hx_status=pl.lit(None, dtype=pl.String))
+    else:
+        is_solved = np.isfinite(ratio)
+        solved = {name: signal[is_solved] for name, signal in clean.items()}
+        estimates = exchanger_flights(values, solved, dsm.design, part)
+        rows = rows.select(*FLIGHT_PACK, "n_samples").join(estimates, on=FLIGHT_PACK, how="left", validate="1:1")
     rows = rows.join(ram_ratios, on=FLIGHT_PACK, how="left", validate="m:1")
     clean_ua = pl.col("ln_expected").exp()
     return (

@@ -1,5 +1,7 @@
 """The pack's heat exchanger and its centrifugal compressor."""
 
+from typing import NamedTuple
+
 from hdt_core.components.declaration import CLEANED, REPLACED, Component, Limit
 from hdt_core.physics.compressor import COMPRESSOR
 from hdt_core.physics.installed_exchanger import INSTALLED
@@ -49,3 +51,14 @@ CC = Component(
     },
 )
 """Its record is the default one; see `calibration.compressor` and `health`."""
+
+
+class Parts(NamedTuple):
+    """The pack's parts, each with the estimator that is to be run."""
+
+    exchanger: Component = HX
+    compressor: Component = CC
+
+
+PARTS = Parts()
+"""As they are declared."""

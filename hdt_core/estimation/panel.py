@@ -72,6 +72,18 @@ class Panel:
     prior_terms: Callable[[Array], Array] = lambda design: design[:0]  # residuals of the design alone, of sd 1
 
 
+class PanelFit(NamedTuple):
+    """End of an estimation: also the level of each row and the weight of each row in each equation, (n,).
+
+    A weight is over the residual's variance, less where the row is an outlier, 0 where it is unusable.
+    """
+
+    estimate: Estimate
+    units: Array  # (units, q)
+    level: Array
+    weights: tuple[Array, ...]
+
+
 class _Levels(NamedTuple):
     """Level of each row, unit of each of m levels, time since the unit's level before, infinite for its first."""
 
@@ -104,12 +116,26 @@ class PanelLeastSquares:
         The status is `converged`, `at_bound`, `max_steps` or `not_identifiable`; identifiability is that of the rows
         alone, the units' parameters within their priors.
         """
+        estimate, units, _ = self._descend(panel)
+        return estimate, units
+
+    def fit(self, panel: Panel) -> PanelFit:
+        """Estimate the panel and return also what another method needs to estimate the design given the rest."""
+        estimate, units, level = self._descend(panel)
+        nothing = np.zeros(len(panel.unit))
+        of_row = nothing if level is None else level[_index_levels(panel).of_row]
+        pairs = ((panel.levelled, of_row), *((equation, nothing) for equation in panel.others))
+        weights = (self._linearise(panel, e, estimate.belief.mean, units, expected)[1] for e, expected in pairs)
+        return PanelFit(estimate, units, of_row, tuple(weights))
+
+    def _descend(self, panel: Panel) -> tuple[Estimate, Array, Array | None]:
+        """Return the estimate, the units' parameters and the levels, none without rows."""
         design, units, level = panel.prior.mean, panel.unit_mean, None
         n_steps = 0
         status: Status = "max_steps"
         data = Identifiability(panel.names, np.zeros_like(panel.prior.cov))
         if not len(panel.unit):
-            return Estimate(panel.prior, "converged", 0, data, method=self.name), units
+            return Estimate(panel.prior, "converged", 0, data, method=self.name), units, None
         levels = _index_levels(panel)
         gap = levels.gap
         while n_steps < self.max_steps and (status == "max_steps" or n_steps < self.min_steps):
@@ -128,7 +154,7 @@ class PanelLeastSquares:
         if not is_finite or rests_on_bound(panel.bounds, design, cov):
             status = "at_bound" if is_finite else "not_identifiable"
         n_evals = n_steps * (1 + design.size + units.shape[1])
-        return Estimate(Belief(design, cov), status, n_evals, data, method=self.name), units
+        return Estimate(Belief(design, cov), status, n_evals, data, method=self.name), units, level
 
     def _solve(self, panel: Panel, design: Array, normal: Array) -> tuple[Array, Array, bool]:
         """Add the priors and solve for the next design, inside its bounds; return also its covariance, and whether that

@@ -60,6 +60,7 @@ class CalibrationDesign(Table):
     n_flights = count("flights it rests on")
     identifiable = flag("the data, not the prior, decide it")
     dsm_version = text("model it belongs to", nullable=False)
+    estimator = text("method that estimated it, and what finished its estimate; null in rows of before")
 
 
 def _numbers(meaning: str) -> dy.List:
@@ -69,7 +70,10 @@ def _numbers(meaning: str) -> dy.List:
 class TwinFlights(DatedLegTable):
     """Estimate of a pack from one flight alone, against the Digital System Model: flight, pack."""
 
-    status = text("ok, few_samples; no_cruise: nothing estimated; implausible: no core can have this", nullable=False)
+    status = text(
+        "ok, few_samples; nothing estimated: no_cruise, diverged, not_identifiable; implausible: no core can have this",
+        nullable=False,
+    )
     n_samples = column(dy.Int32, "steady cruise samples behind the exchanger's estimates", "-", min=0)
     ln_ua_ratio = number("ln of measured over expected conductance, ram flow that of a clean duct")
     ln_ua_ratio_sd = number("random standard deviation of it", low=0)
@@ -108,6 +112,7 @@ class TwinFlights(DatedLegTable):
     efficiency = number("isentropic efficiency", low=0)
     efficiency_se = number("scatter of its median", low=0)
     vda_counts = number("diffuser position", "count")
+    cc_status = text("how the compressor's method ended, where it gives no estimate")
 
 
 class TwinHealth(ComponentLegTable):
@@ -127,7 +132,11 @@ class TwinHealth(ComponentLegTable):
     sd = number("standard deviation, in `unit`", low=0)
     unit = text("unit", nullable=False)
     status = text("how the estimate ended; the view `statuses` explains each", nullable=False)
-    estimator = text("method", nullable=False)
+    estimator = text(
+        "method of the flight's own estimate; filtered where a filter along the flights finished it, smoothed where "
+        "later flights did; kalman_filtered and the like in rows of before",
+        nullable=False,
+    )
 
 
 class TwinCheckpoints(AircraftTable):

@@ -25,7 +25,7 @@ from hdt_core.records.unit_index import number_units, select_entries
 from hdt_core.robust import MAD_TO_SD
 from hdt_core.tables.twin import CalibrationComponents, TwinCheckpoints, TwinHealth
 from hdt_core.tracking.component import DesignOffset, track_component, wear_of
-from hdt_core.tracking.loss_filter import FILTERED, TrackResult, health_rows, join_tracks
+from hdt_core.tracking.loss_filter import TrackResult, health_rows, join_tracks
 
 MOST, FEWEST, SHARE_OF_LIFE = 100, 10, 0.1
 """Steady flights of a pack's first unit on which it is taken to be as built: a tenth of its life, within limits."""
@@ -37,6 +37,8 @@ WIDEST = -3.0
 NEAR_BOUND = 1e-3
 """Share of a loss's span that counts as its bound."""
 ONE_OR_MORE = "one_or_more"
+PRIOR = "prior"
+"""What made the design of a pack that no flight calibrated."""
 BEYOND_SHARE = 0.1
 """Share of a flight's samples beyond a reading's possible range that sets its status."""
 
@@ -91,7 +93,7 @@ def _prior(component: Component) -> list[tuple[object, ...]]:
     if design_prior(component.model) is None:
         return []
     version = f"prior {component.version}"
-    return [(p.name, p.nominal, p.sd, p.unit, 0, False, version) for p in component.model.free("design")]
+    return [(p.name, p.nominal, p.sd, p.unit, 0, False, version, PRIOR) for p in component.model.free("design")]
 
 
 def _as_built(legs: pl.DataFrame, maintenance: pl.DataFrame, component: Component) -> pl.DataFrame:
@@ -118,11 +120,13 @@ def _calibrate_pack(samples: pl.DataFrame, component: Component) -> tuple[pl.Dat
         dsm, estimate = calibrate_component(component.model, regular, method)
     except ValueError:  # the flights do not determine the design: NOT_COMMISSIONED
         return nothing
+    made_by = estimate.method or method.name
     n_flights = regular.select(pl.struct(LEG).n_unique()).item()
     params = zip(component.model.free("design"), estimate.belief.sd.tolist(), strict=True)
     version = hashlib.blake2b(f"{component.version} {dsm.nominal}".encode(), digest_size=6).hexdigest()
     return stray, [
-        (p.name, dsm.nominal[p.name], sd, p.unit, n_flights, p.name not in estimate.weak, version) for p, sd in params
+        (p.name, dsm.nominal[p.name], sd, p.unit, n_flights, p.name not in estimate.weak, version, made_by)
+        for p, sd in params
     ]
 
 
@@ -251,7 +255,7 @@ def health_by_prior(flights: pl.DataFrame, design_sd: float, component: Componen
         weight = component.warn_loss**2 / (component.warn_loss**2 + sd**2 + shared_sd**2)
         weight = np.nan_to_num(np.where(flights["status"].is_in(WITHOUT_ESTIMATE), 0.0, weight))
         value, value_sd = weight * np.nan_to_num(loss), component.warn_loss * np.sqrt(1.0 - weight)
-        names = (component.code, param.name, param.unit, FILTERED)
+        names = (component.code, param.name, param.unit, component.estimator)
         rows.append(health_rows(flights, names, value, value_sd, pl.lit("prior_only")))
     return pl.concat(rows)
 

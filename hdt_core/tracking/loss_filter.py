@@ -19,9 +19,6 @@ from hdt_core.tracking.multiple_model_filter import Hypotheses, join
 from hdt_core.tracking.segments import SEGMENT_FLIGHTS, FlightPanel, filter_segments, lay_out
 from hdt_core.tracking.wear_model import Settings
 
-FILTERED = "kalman_filtered"
-"""Estimator of a value from its flight and earlier ones."""
-SMOOTHED = "kalman_smoothed"
 STATES = 5
 LABELS = ("log_weight", "pace", "since", "unlogged", "faulty")
 TRACK = [*PACK, "component", "parameter"]
@@ -64,7 +61,13 @@ class Loss(NamedTuple):
     @property
     def parameters(self) -> dict[str, str]:
         """Estimator of each parameter: filtered, and smoothed."""
-        return {self.param.name: FILTERED, f"{self.param.name}_smoothed": SMOOTHED}
+        method = self.component.estimator
+        return {self.param.name: filtered(method), f"{self.param.name}_smoothed": f"{method}, smoothed"}
+
+
+def filtered(method: str) -> str:
+    """Name the estimator of a value that a filter made of its flight's own estimate and those before."""
+    return f"{method}, filtered"
 
 
 def track_loss(
@@ -86,7 +89,9 @@ def track_loss(
     code = loss.component.code
     panel = lay_out(flights, loss.observations, maintenance, code, loss.component.ended_by, loss.unchecked)
     names = flights.select(pl.concat_str("flight_id", loss.status, separator="="))[:, 0].to_list()
-    digests = fingerprints(panel, list(loss.more_variance), names, f"{seal}|{loss.settings}", SEGMENT_FLIGHTS)
+    digests = fingerprints(
+        panel, list(loss.more_variance), names, f"{seal}|{loss.component.estimator}|{loss.settings}", SEGMENT_FLIGHTS
+    )
     packs = flights.select(PACK).unique(maintain_order=True)
     packs = packs.with_columns(component=pl.lit(code), parameter=pl.lit(loss.param.name))
     restart = read_checkpoints(previous and previous.checkpoints, packs, digests)

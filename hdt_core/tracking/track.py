@@ -12,13 +12,13 @@ from hdt_core.calibration.compressor import ENTRY_UNIT_SD
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.exchanger import BIAS_SD
 from hdt_core.components import Component
-from hdt_core.components.pack import CC, HX
+from hdt_core.components.pack import PARTS, Parts
 from hdt_core.physics.heat_exchanger import CP_COLD_J_KG_K, CP_HOT_J_KG_K
 from hdt_core.physics.model import Param
 from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.robust import median_error
 from hdt_core.tracking.component import DesignOffset, scatter_by_segment, wear_settings
-from hdt_core.tracking.loss_filter import FILTERED, Loss, TrackResult, health_rows, join_tracks, track_loss
+from hdt_core.tracking.loss_filter import Loss, TrackResult, filtered, health_rows, join_tracks, track_loss
 from hdt_core.tracking.sensor_shifts import Corrections, corrections
 from hdt_core.tracking.wear_model import FAULT_CHANCE, Settings
 
@@ -36,7 +36,12 @@ RAM_FLOW_SD = 0.08
 
 
 def track(
-    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, previous: TrackResult | None = None, seal: str = ""
+    twin_flights: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    dsm: Dsm,
+    previous: TrackResult | None = None,
+    seal: str = "",
+    parts: Parts = PARTS,
 ) -> TrackResult:
     """Track the health parameters of every flight and pack; only those called smoothed use later flights.
 
@@ -53,12 +58,16 @@ def track(
         continue from it.
     seal : str
         Further inputs of the track, the version of the code; results under another are not used.
+    parts : Parts
+        The pack's parts, each with the method that made the flight estimates.
     """
     flights, seal = twin_flights.sort(IN_ORDER), f"{seal}|{dsm.dsm_version}"
-    exchanger = track_loss(flights, maintenance, exchanger_loss(flights, corrections(flights), dsm), previous, seal)
-    losses = [exchanger, *track_compressor(flights, maintenance, dsm, previous, seal)]
+    fouling = exchanger_loss(flights, corrections(flights), dsm, parts.exchanger)
+    exchanger = track_loss(flights, maintenance, fouling, previous, seal)
+    losses = [exchanger, *track_compressor(flights, maintenance, dsm, previous, seal, parts.compressor)]
     tracks = join_tracks(losses)
-    valid = _null_invalid(pl.concat([tracks.health, lumped_coefficients(flights), effective_diameter(flights)]))
+    diameter = effective_diameter(flights, parts.compressor)
+    valid = _null_invalid(pl.concat([tracks.health, lumped_coefficients(flights), diameter]))
     return tracks._replace(health=valid.sort(*PACK, "departed_at", "flight_id", "component", "parameter"))
 
 
@@ -70,7 +79,7 @@ def _null_invalid(rows: pl.DataFrame) -> pl.DataFrame:
     return rows.with_columns(pl.when(~is_invalid).then(value), pl.when(~is_invalid).then(sd), status)
 
 
-def exchanger_loss(flights: pl.DataFrame, faults: Corrections, dsm: Dsm) -> Loss:
+def exchanger_loss(flights: pl.DataFrame, faults: Corrections, dsm: Dsm, part: Component = PARTS.exchanger) -> Loss:
     """Build the exchanger's loss from the conductance ratio of each row of `flights` (in order), corrected."""
     ratio = flights["ln_ua_ratio"].to_numpy().astype(float) - faults.shift
     sampling, map_sd = (
@@ -85,11 +94,16 @@ def exchanger_loss(flights: pl.DataFrame, faults: Corrections, dsm: Dsm) -> Loss
     )  # fmt: skip
     settings = Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
     observations, more_variance = (ratio, variance, exposure), (map_sd**2, faults.variance)
-    return Loss(HX, HX.model.param(HX.loss), 1.0, settings, observations, status, more_variance, faults.unchecked)
+    return Loss(part, part.model.param(part.loss), 1.0, settings, observations, status, more_variance, faults.unchecked)
 
 
 def track_compressor(
-    flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, previous: TrackResult | None = None, seal: str = ""
+    flights: pl.DataFrame,
+    maintenance: pl.DataFrame,
+    dsm: Dsm,
+    previous: TrackResult | None = None,
+    seal: str = "",
+    part: Component = PARTS.compressor,
 ) -> Iterator[TrackResult]:
     """Track `cc_efficiency_loss` and `cc_diameter_loss` of each pack from its first flight with an estimate on.
 
@@ -99,19 +113,19 @@ def track_compressor(
     diameter = np.log(_positive(flights["diameter_m"]) / _positive(flights["expected_diameter_m"]))
     built_sd = dsm.compressor.efficiency_sd / dsm.compressor.efficiency
     # the effective diameter is the true one times the root of slip times efficiency
-    weak = replace(CC, limit=replace(CC.limit, mean=1.0 - float(np.sqrt(1.0 - CC.limit.mean))))
+    weak = replace(part, limit=replace(part.limit, mean=1.0 - float(np.sqrt(1.0 - part.limit.mean))))
     for component, name, ln_ratio, level_sd, usual_sd in (
-        (CC, "cc_efficiency_loss", efficiency, built_sd, EFFICIENCY_SD),
+        (part, "cc_efficiency_loss", efficiency, built_sd, EFFICIENCY_SD),
         (weak, "cc_diameter_loss", diameter, 0.0, DIAMETER_SD_LN),
     ):
         estimates = flights.select(PACK).with_columns(n=pl.Series(np.isfinite(ln_ratio)).cast(pl.Int32))
         has_begun = estimates.select(pl.col("n").cum_sum().over(PACK) > 0)[:, 0]
-        own, param = flights.filter(has_begun), CC.model.param(name)
+        own, param = flights.filter(has_begun), part.model.param(name)
         loss = _loss(own, component, param, ln_ratio[has_begun.to_numpy()], usual_sd)
         # the level's error is all machines' alike, and wear at entry was weighed in it: a pack's own must not shrink it
         loss = loss._replace(more_variance=(np.full(own.height, level_sd**2),))
         result = track_loss(own, maintenance, loss, previous, seal)
-        before, names = flights.filter(~has_begun), (CC.code, name, param.unit, FILTERED)
+        before, names = flights.filter(~has_begun), (part.code, name, param.unit, filtered(part.estimator))
         nothing = pl.Series([None] * before.height, dtype=pl.Float64)
         not_recorded = health_rows(before, names, nothing, nothing, pl.lit("not_recorded"))
         yield result._replace(health=pl.concat([not_recorded, result.health]))
@@ -122,7 +136,9 @@ def _loss(flights: pl.DataFrame, component: Component, param: Param, ln_ratio: A
     ratio = ln_ratio / size
     scatter = scatter_by_segment(flights, ratio, np.zeros_like(ratio), usual_sd / size)
     variance = np.where(np.isfinite(ratio), scatter**2, 1.0)
-    status = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
+    has_failed = pl.col("cc_status").is_not_null() & ~pl.Series(np.isfinite(ratio))
+    is_seen = (pl.col("cc_n_samples") > 0) & ~has_failed
+    status = pl.when(is_seen).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
     # a step of its probes is no rarer than one of the exchanger's
     settings = settings._replace(
         entries=ENTRY, fault_chance=FAULT_CHANCE, truncated=False, offset_sd=ENTRY_UNIT_SD / size
@@ -130,7 +146,7 @@ def _loss(flights: pl.DataFrame, component: Component, param: Param, ln_ratio: A
     return Loss(component, param, size, settings, (ratio, variance, np.ones_like(ratio)), status)
 
 
-def effective_diameter(flights: pl.DataFrame) -> pl.DataFrame:
+def effective_diameter(flights: pl.DataFrame, part: Component = PARTS.compressor) -> pl.DataFrame:
     """Build rows of `cc_effective_diameter_m`.
 
     Scatter from sample to sample is mostly the machine's, and no error of the flight's median.
@@ -139,8 +155,9 @@ def effective_diameter(flights: pl.DataFrame) -> pl.DataFrame:
     value = flights["diameter_m"]
     sd = (value * pl.Series(np.hypot(PROBE_SD, noise))).set(value.is_null(), None)
     known_status = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
-    status = pl.when(value.is_null()).then(pl.lit("not_recorded")).otherwise(known_status)
-    return health_rows(flights, (CC.code, "cc_effective_diameter_m", "m", "closed_form"), value, sd, status)
+    why_null = pl.coalesce("cc_status", pl.lit("not_recorded"))
+    status = pl.when(value.is_null()).then(why_null).otherwise(known_status)
+    return health_rows(flights, (part.code, "cc_effective_diameter_m", "m", part.estimator), value, sd, status)
 
 
 def _positive(column: pl.Series) -> Array:

@@ -19,6 +19,7 @@ from hdt_core.flight.legs import judge_legs, reject_odd_bleed
 from hdt_core.record.exchange import usable_rows
 from hdt_core.records.keys import FLIGHT_PACK, LEG, of_each_aircraft
 from hdt_core.tables.raw import SIGNALS
+from pipelines.assets.components import parts_in_service
 from pipelines.assets.stage import StageResult, stage
 from pipelines.report.plots import as_png, figure_12, figure_13, figure_15, outlet_residuals
 from pipelines.resources import Home
@@ -65,7 +66,8 @@ def calibration(home: Home) -> StageResult:
     verdicts = reject_odd_bleed(verdicts, reports)
     baseline = learn_baseline(verdicts, samples, maintenance, messages)
     admitted = admit(baseline, verdicts, leg_indicators(samples, baseline), maintenance, messages)
-    dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)))
+    parts = parts_in_service(home, "design")
+    dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)), parts)
     text, status = json.dumps(dsm.to_dict()), dsm.exchanger_status
     model = {"dsm_version": dsm.dsm_version, "model": text, "n_flights": dsm.n_flights, "status": status}
     estimates = of_each_aircraft(samples, lambda pack_samples: estimate_flights(pack_samples, dsm))

@@ -8,7 +8,7 @@ import polars as pl
 
 from hdt_core.calibration import baseline_wear
 from hdt_core.components import Component, component_rows, recorded_components
-from hdt_core.components.pack import CC, HX
+from hdt_core.components.pack import CC, HX, PARTS, Parts
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
 from hdt_core.record.exchange import unused
@@ -25,7 +25,7 @@ from pipelines.intake.faults import NO_FAULTS
 from pipelines.intake.ingest import landing_files, register_unread
 from pipelines.lineage import STAGE
 from pipelines.resources import Home, PartitionScope
-from pipelines.storage.settings import accepted_terms
+from pipelines.storage.settings import Use, accepted_terms, by_home
 
 SAMPLE = [*LEG, "component", "time_utc", "signal"]
 
@@ -49,9 +49,18 @@ def recorded_in(rows: pl.DataFrame) -> list[Component]:
     return [c for c in recorded_components().values() if c.code in codes]
 
 
-def in_service(rows: pl.DataFrame, home: Home) -> list[Component]:
-    """List the components of `recorded_in` with the physical terms that an engineer has accepted."""
-    return [c.with_terms(accepted_terms(Path(home.home))) for c in recorded_in(rows)]
+def in_service(rows: pl.DataFrame, home: Home, use: Use) -> list[Component]:
+    """List the components of `recorded_in` with the physical terms that an engineer has accepted.
+
+    And with the method that the home names for this `use`.
+    """
+    folder = Path(home.home)
+    return [by_home(c.with_terms(accepted_terms(folder)), folder, use) for c in recorded_in(rows)]
+
+
+def parts_in_service(home: Home, use: Use) -> Parts:
+    """Return the pack's parts with the methods that the home names for this `use`."""
+    return Parts(*(by_home(part, Path(home.home), use) for part in PARTS))
 
 
 @stage
@@ -102,7 +111,7 @@ def calibration_components(
     from hdt_core.tracking.component_units import commission  # its estimators take half a second to load
 
     rows = raw_components.join(unused(record_held), on=FLIGHT, how="anti", maintain_order="left")
-    results = [commission(rows, raw_maintenance, c, raw_reports) for c in in_service(rows, home)]
+    results = [commission(rows, raw_maintenance, c, raw_reports) for c in in_service(rows, home, "design")]
     legs = conform_all("legs_components", [x for x, _ in results])
     design = conform_all("calibration_components", [d for _, d in results])
     return legs, design.with_columns(pl.lit("tail").alias("scope"))
@@ -125,7 +134,7 @@ def track_components(
         Version of the code; results under another are not used.
     """
     tracks, readings, residuals = [], [], []
-    for component in in_service(signals, home):
+    for component in in_service(signals, home, "health"):
         from hdt_core.tracking.component_units import unit_health  # loaded only where a component has a record
 
         samples = component_samples(signals, component)

@@ -22,7 +22,7 @@ from hdt_core.records.keys import FLIGHT
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from hdt_core.tracking.track import track
 from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
-from pipelines.assets.components import conform_all, of_pack, recorded_in, track_components
+from pipelines.assets.components import conform_all, of_pack, parts_in_service, recorded_in, track_components
 from pipelines.assets.raw import case_lines
 from pipelines.assets.stage import stage
 from pipelines.lineage import LINEAGE
@@ -37,9 +37,9 @@ def model_of(calibration_dsm: pl.DataFrame) -> Dsm:
 
 
 @stage
-def twin_flights(legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame) -> pl.DataFrame:
-    """Estimate health of each pack from one flight alone by maximum likelihood, for all flights of the run."""
-    return estimate_flights(legs_samples, model_of(calibration_dsm))
+def twin_flights(legs_samples: pl.DataFrame, calibration_dsm: pl.DataFrame, home: Home) -> pl.DataFrame:
+    """Estimate health of each pack from one flight alone by the parts' methods, for all flights of the run."""
+    return estimate_flights(legs_samples, model_of(calibration_dsm), parts_in_service(home, "health"))
 
 
 @stage
@@ -64,7 +64,8 @@ def twin_health(
     components, residuals = track_components(*inputs, raw_maintenance, home, stored, code)
     tracks = [components]
     if twin_flights.height:
-        tracks.append(track(twin_flights, raw_maintenance, model_of(calibration_dsm), stored, code))
+        parts = parts_in_service(home, "health")
+        tracks.append(track(twin_flights, raw_maintenance, model_of(calibration_dsm), stored, code, parts))
     return *join_tracks(tracks), residuals
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from hdt_core.loading import parse_toml, read_text
 from pipelines.storage.files import replacing
@@ -14,6 +14,7 @@ from pipelines.storage.objects import StoreError
 
 if TYPE_CHECKING:
     from hdt_core.alerts.cases import Limits
+    from hdt_core.components import Component
 
 MAX_DAYS = 36_525
 """A century: more days are a typing error."""
@@ -58,14 +59,19 @@ def accept_terms(home: Path, names: Iterable[str]) -> None:
         temporary.write_text("".join(f"{name}\n" for name in accepted), encoding="utf-8")
 
 
-def read_values(file: Path, names: Iterable[str]) -> dict[str, Any]:
-    """Return what a TOML file of the home sets of some names; nothing where there is no file."""
+def read_toml(file: Path) -> dict[str, Any]:
+    """Return the tables of a TOML file of the home; nothing where there is no file."""
     try:
-        values = parse_toml(read_text(file))
+        return parse_toml(read_text(file))
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
         raise StoreError(f"{file} can't be read: {error}") from None
+
+
+def read_values(file: Path, names: Iterable[str]) -> dict[str, Any]:
+    """Return what a TOML file of the home sets of some names; nothing where there is no file."""
+    values = read_toml(file)
     if unknown := sorted(values.keys() - {*names}):
         raise StoreError(f"{file} has no setting {unknown[0]!r:.40}; there are {', '.join(names)}")
     return values
@@ -122,7 +128,95 @@ def changed_limits(home: Path) -> tuple[str, ...]:
     return tuple(f"{f.name} = {value}" for f, value in values if value != f.default)
 
 
-HOME_SETTINGS: dict[str, Callable[[Path], tuple[str, ...]]] = {"terms": accepted_terms, "limits": changed_limits}
+class Methods(NamedTuple):
+    """Estimators of one component: of its design, and of its health flight by flight."""
+
+    design: str
+    health: str
+
+
+Use = Literal["design", "health"]
+
+
+def chosen_methods(home: Path) -> dict[str, Methods]:
+    """Return the estimators that `estimators.toml` names, by the component's code; none where there is no file.
+
+    Raises
+    ------
+    StoreError
+        The file can't be read, or a line names no component or no method.
+    """
+    file = home / "estimators.toml"
+    values = read_toml(file)
+    if not values:
+        return {}
+    from hdt_core.components import components  # neither is needed to start a command
+    from hdt_core.estimation import estimators
+
+    try:
+        declared, methods = components(), estimators()
+    except ValueError as error:
+        raise StoreError(f"{file}: {error}") from None
+    chosen = {}
+    for code, value in values.items():
+        line = f"{file}: {code!r:.40} = {value!r:.80}"
+        if code not in declared:
+            raise StoreError(f"{line}: there is no such component, but {', '.join(declared)}; {_listed(methods)}")
+        own = declared[code].estimator
+        named = _named_methods(value, own)
+        if named is None or not {*named} <= {*methods}:
+            raise StoreError(
+                f"{line}: ought to be a method or {{ design = method, health = method }}; {_listed(methods)}"
+            )
+        chosen[code] = named
+    return chosen
+
+
+def _listed(methods: Iterable[str]) -> str:
+    return f"methods are {', '.join(methods)}"
+
+
+def _named_methods(value: Any, declared: str) -> Methods | None:
+    """Return the names in a line of `estimators.toml`, the `declared` one where it names none; None without form."""
+    if isinstance(value, str):
+        return Methods(value, value)
+    if not isinstance(value, dict) or not value or value.keys() - {*Methods._fields}:
+        return None
+    names = Methods(declared, declared)._replace(**value)
+    return names if all(isinstance(name, str) for name in names) else None
+
+
+def by_home(component: "Component", home: Path, use: Use) -> "Component":
+    """Return a component with the estimator that the home names for this use, its own where it names none."""
+    chosen = chosen_methods(home).get(component.code)
+    return component if chosen is None else replace(component, estimator=getattr(chosen, use))
+
+
+def _changed_methods(use: Use, *, of_pack: bool) -> Callable[[Path], tuple[str, ...]]:
+    """Make the reader of the estimators other than the declared ones, as `code = name`."""
+
+    def read(home: Path) -> tuple[str, ...]:
+        chosen = chosen_methods(home)
+        if not chosen:
+            return ()
+        from hdt_core.components import components
+
+        declared = components()
+        lines = ((code, getattr(names, use)) for code, names in sorted(chosen.items()))
+        is_own = ((code, name) for code, name in lines if (declared[code].record is None) == of_pack)
+        return tuple(f"{use} of {code} = {name}" for code, name in is_own if name != declared[code].estimator)
+
+    return read
+
+
+HOME_SETTINGS: dict[str, Callable[[Path], tuple[str, ...]]] = {
+    "terms": accepted_terms,
+    "limits": changed_limits,
+    "design of packs": _changed_methods("design", of_pack=True),
+    "health of packs": _changed_methods("health", of_pack=True),
+    "design of components": _changed_methods("design", of_pack=False),
+    "health of components": _changed_methods("health", of_pack=False),
+}
 """What a home sets that results depend on, by the name under which a `Recipe` lists it."""
 
 

@@ -21,6 +21,11 @@ with explained as (
         ),
         ('not_identifiable', 'the flight does not determine it', null),
         (
+            'diverged',
+            'the component''s method found no estimate on the flight',
+            'another method in the home''s estimators.toml'
+        ),
+        (
             'not_recorded',
             'a signal that it needs is not recorded',
             'compare the files with `hdt docs raw-data`; the view coverage lists what aircraft with a type lack'

@@ -102,7 +102,7 @@ def test_filtering_steadies_looks_at_nothing_to_come_and_a_smoothed_loss_lies_ne
     np.testing.assert_allclose(early["value"], track["value"][:60], atol=5e-3)
     assert track["sd"].max() < 0.05
     smoothed = both_tracks(flights).filter(parameter="hx_fouling_smoothed")
-    assert smoothed.select("estimator", "status").unique().rows() == [("kalman_smoothed", "ok")]
+    assert smoothed.select("estimator", "status").unique().rows() == [("nls, smoothed", "ok")]
     filtered = tracked(flights)
     assert smoothed["flight_id"].equals(filtered["flight_id"])
     far, near = (np.abs(f["value"].to_numpy() - LOSS).mean() for f in (filtered, smoothed))

@@ -99,8 +99,8 @@ def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, n
     stray, design = _calibrate_pack(rows, PART)
     assert (stray.height, len(design)) == (0, n_rows)
     if n_rows:
-        name, value, sd, unit, count, identifiable, version = design[0]
-        assert (name, unit, count, identifiable, len(version)) == ("pmp_size", "m", 10, True, 12)
+        name, value, sd, unit, count, identifiable, version, made_by = design[0]
+        assert (name, unit, count, identifiable, len(version), made_by) == ("pmp_size", "m", 10, True, 12, "nls")
         assert value == pytest.approx(1.9, abs=0.01)
         assert sd == pytest.approx(0.01 / np.sqrt((rows["speed"] ** 2).sum()), rel=0.2)
         halved = pl.when(pl.col("flight_id") == "T-1_004").then(0.5).otherwise(1.0)
@@ -138,7 +138,7 @@ def test_reasons_of_the_second_level():
     none = _second_level(legs, key.clear(), pack.clear())
     assert none["reason"].to_list() == ["SHORT", *["NOT_COMMISSIONED"] * 3]
     assert not none["admitted"].any()
-    assert _prior(PART) == [("pmp_size", 2.0, 0.2, "m", 0, False, f"prior {PART.version}")]
+    assert _prior(PART) == [("pmp_size", 2.0, 0.2, "m", 0, False, f"prior {PART.version}", "prior")]
 
 
 @pytest.mark.parametrize(("loss", "status"), [(-0.0991, "not_identifiable"), (-0.0989, "converged")])

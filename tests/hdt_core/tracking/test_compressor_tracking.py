@@ -30,7 +30,7 @@ def machines(loss: np.ndarray, **columns: object) -> pl.DataFrame:
     """A flight a day of a machine whose efficiency and effective diameter are lower by this much."""
     efficiency, diameter = 0.8 * (1.0 - loss), 0.17 * (1.0 - loss)
     readings = {"efficiency": efficiency.tolist(), "diameter_m": diameter.tolist(), "expected_diameter_m": 0.17}
-    return flights(len(loss), **({"cc_n_samples": 9} | readings | columns))
+    return flights(len(loss), **({"cc_n_samples": 9, "cc_status": None} | readings | columns))
 
 
 @pytest.mark.parametrize("name", LOSSES)
@@ -56,7 +56,7 @@ def test_a_first_flight_weighs_every_pace_and_every_wear_at_entry(name):
     left = np.exp(-size * middle)
     assert row["value"] == pytest.approx(1.0 - left, rel=1e-6)
     assert row["sd"] == pytest.approx(left * np.hypot(size * sd, level_sd), rel=1e-6)  # the level's error stays
-    assert (row["component"], row["unit"], row["estimator"]) == ("CC", "-", "kalman_filtered")
+    assert (row["component"], row["unit"], row["estimator"]) == ("CC", "-", "nls, filtered")
 
 
 @pytest.mark.parametrize("name", LOSSES)
@@ -72,7 +72,7 @@ def test_a_known_loss_is_found_and_a_new_machine_has_none(name):
     assert (np.abs(error) < 1.645 * filtered["sd"].to_numpy()).mean() > 0.9
     rough, smooth = (np.diff(rows["value"].to_numpy() - truth)[:138].std() for rows in (filtered, smoothed))
     assert smooth < 0.5 * rough
-    assert smoothed["estimator"].unique().to_list() == ["kalman_smoothed"]
+    assert smoothed["estimator"].unique().to_list() == ["nls, smoothed"]
     assert abs(filtered["value"][140]) < 0.02
 
 
@@ -84,13 +84,15 @@ def test_no_later_flight_changes_a_loss_and_a_diameter_is_the_flights_own():
         for name in LOSSES:
             assert parameter(early, name).equals(parameter(whole, name).head(end))
     # A quarter of a per cent by the probes, and the error of a median of so many samples of 0.3 %.
-    twin = flights(3, efficiency=0.8, diameter_m=0.16, expected_diameter_m=0.17, cc_n_samples=[0, 1, 30])
+    twin = flights(
+        3, efficiency=0.8, diameter_m=0.16, expected_diameter_m=0.17, cc_status=None, cc_n_samples=[0, 1, 30]
+    )
     rows = effective_diameter(twin)
     assert rows["value"].to_list() == [0.16] * 3
     noise = 0.003 * 1.2533 / np.sqrt([1.0, 1.0, 30.0])
     np.testing.assert_allclose(rows["sd"], 0.16 * np.hypot(0.0025, noise), rtol=1e-9)
     assert rows["status"].to_list() == ["predicted", "ok", "ok"]
-    assert rows.select("unit", "estimator").unique().rows() == [("m", "closed_form")]
+    assert rows.select("unit", "estimator").unique().rows() == [("m", "nls")]
 
 
 def test_flights_weigh_what_the_segments_before_their_own_scatter():
@@ -118,7 +120,7 @@ def machine() -> pl.DataFrame:
     return flights(
         12, efficiency=pl.Series(0.8 * ratio, nan_to_null=True).fill_nan(None).to_list(),
         diameter_m=pl.Series(0.17 * ratio).fill_nan(None).to_list(), expected_diameter_m=0.17,
-        cc_n_samples=pl.Series([0, *[9] * 4, 0, *[9] * 6]).to_list(),
+        cc_status=None, cc_n_samples=pl.Series([0, *[9] * 4, 0, *[9] * 6]).to_list(),
     )  # fmt: skip
 
 

@@ -86,7 +86,7 @@ def test_the_track_takes_level_and_doubt_from_the_model(twin_flights):
     others = ("hx_in_k", "hx_out_k", "ram_out_k", "tat_k", "pack_flow_kg_s", "ram_flow_kg_s", "efficiency")
     cc = {c: pl.lit(None, pl.Float64) for c in (*others, "diameter_m", "expected_diameter_m")}
     same = flights(30, ln_ua_ratio=0.07, ln_ua_ratio_sd=0.004, ua_expected_w_k=2000.0, ln_ua_ratio_map_sd=0.0)
-    same = same.with_columns(cc_n_samples=pl.lit(0), **cc)
+    same = same.with_columns(cc_n_samples=pl.lit(0), cc_status=pl.lit(None, pl.String), **cc)
     sure = track(same, log(), DSM).health.filter(parameter=HX.loss)
     assert sure["value"].max() < 0.02
     higher = track(same, log(), replace(DSM, clean_level=0.12)).health.filter(parameter=HX.loss)
