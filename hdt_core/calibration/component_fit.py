@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import flights_of
+from hdt_core.calibration.diffuser_line import FAR_SD
 from hdt_core.components import Component
 from hdt_core.estimation import Estimate, Estimator, NonlinearLeastSquares, estimators
 from hdt_core.estimation.declared import declared_problem
@@ -22,8 +23,6 @@ WITHOUT_ESTIMATE = ("diverged", "not_identifiable")
 MIN_SAMPLES = 3
 LEAST_LOSS = -1.0
 """Lower bound of a loss counted from a fleet's part, of which a unit may be far better. [-]"""
-FAR_SD = 4.0
-"""Robust standard deviations from a flight's median at which a sample is a spike, and no method's business."""
 
 
 CLOSED_FORM = "nls"
@@ -36,7 +35,7 @@ def has_closed_form(part: Component) -> bool:
 
 
 def is_regular(column: str) -> pl.Expr:
-    """Flag samples near their flight's median."""
+    """Flag samples near their flight's median: a spike is none of a method's business."""
     deviation = (pl.col(column) - pl.col(column).median().over(FLIGHT_PACK)).abs()
     return deviation <= FAR_SD * spread_expr(deviation).over(FLIGHT_PACK)
 

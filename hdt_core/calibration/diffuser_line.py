@@ -24,7 +24,8 @@ SCATTER, LEVEL_SD = 0.03, 1e3
 """Scatter of a sample about the line as a share of it, the paper's 5.5 mm; nothing is assumed of a level."""
 COUNTS, STEP, STILL = 1e3, 1e-4, Walk(step_sd=1.0, time_sd=0.0, first_sd=1e-6)
 FAR_SD = 4.0
-"""Robust standard deviations beyond which a position is a spike of its sensor: one would bias a slope."""
+"""Robust standard deviations beyond which a position is a spike of its sensor, which would bias a slope; other samples
+too where a method squares residuals."""
 FOLDS, RESAMPLES = 5, 200
 FORMS = {"constant": 0, "linear": 1, "quadratic": 2, "cubic": 3}
 MOST_SAMPLES = 60_000

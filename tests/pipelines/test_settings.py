@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 from command import hdt
+from strangers import NAME, Newton, forget_methods, install_method
 from typer.testing import CliRunner
 
 from hdt_core.alerts.cases import Limits
+from hdt_core.components.pack import CC
 from pipelines.cli import app, main
 from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.intake.findings import CostError, read_costs
@@ -21,11 +23,15 @@ from pipelines.storage.files import make_private, narrow_umask
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
 from pipelines.storage.settings import (
+    HOME_SETTINGS,
+    Methods,
     Retention,
     accept_terms,
     accepted_terms,
     alert_limits,
+    by_home,
     changed_limits,
+    chosen_methods,
     retention,
     terms_file,
 )
@@ -46,6 +52,10 @@ LIMITS = (
     ("peg_k = nan", "between 0 and 1000"), ("fuling = 0.1", "has no setting 'fuling'"), ("fouling = '0.1'", "between"),
     ("wear_persistence = [5, 4, 15]", "n of at most `of`"), ("wear_persistence = [3, 4]", "flights"),
 )  # fmt: skip
+METHODS = (
+    "HX = 'magic'", "PUMP = 'ekf'", "HX = 1", "HX = []", "HX = {}", "HX = { design = 'ekf', wear = 'nls' }",
+    "HX = { health = 'magic' }", "HX = { health = ['ekf'] }", "hx = 'ekf'", "[HX.health]\nname = 'ekf'",
+)  # fmt: skip
 NIGHTS = ("'2024-03-01'", "[1]", "['']", "['yesterday']", "[['2024-03-01']]", "{}", "nan")
 PORTS = ("-1", "0", "65536", "99999999999", "nan", "true", "'x'")
 COSTS = ("-1", "1" + "0" * 400, "1e300", "nan", "inf", "true", "'x'", "[]")
@@ -56,6 +66,7 @@ WRONG = [
     *((receivers_of, "notify.toml", text, r"notify\.toml") for text in RECEIVERS),
     *((read_costs, "costs.toml", f"[HX]\nwash = {value}", r"HX\.wash") for value in COSTS),
     *((alert_limits, "alerts.toml", text, r"alerts\.toml.*" + re.escape(fault)) for text, fault in LIMITS),
+    *((chosen_methods, "estimators.toml", text, r"estimators\.toml.*methods are nls, pso, ekf") for text in METHODS),
     *((accepted_terms, "terms.txt", text, r"terms\.txt") for text in ("no_such_term\n", "\udcff\udcfe")),
 ]
 
@@ -85,7 +96,8 @@ def test_what_is_no_toml_is_one_line_of_whoever_reads_it(tmp_path, text):
 
 
 @pytest.mark.parametrize(("name", "text"), [
-    ("retention.toml", "keep_days = 99999999999"), ("notify.toml", "receiver = 1"), ("terms.txt", "none"),
+    ("retention.toml", "keep_days = 99999999999"),
+    ("estimators.toml", "HX = 'magic'"), ("notify.toml", "receiver = 1"), ("terms.txt", "none"),
 ])  # fmt: skip
 def test_a_night_says_so_before_it_does_anything(sample_landing, tmp_path, monkeypatch, capsys, name, text):
     (tmp_path / name).write_text(text)
@@ -133,6 +145,50 @@ def test_a_home_sets_alert_limits_and_the_rest_stays(tmp_path):
     limits = alert_limits(tmp_path)
     assert (limits.fouling, limits.wear_persistence, limits.compressor) == (0.12, (2, 3, 15), Limits().compressor)
     assert changed_limits(tmp_path) == ("fouling = 0.12", "wear_persistence = (2, 3, 15)")
+
+
+def test_home_names_methods_of_components(tmp_path):
+    (tmp_path / "estimators.toml").write_text('HX = "ekf"\nCC = { health = "ukf" }\n')
+
+    assert chosen_methods(tmp_path) == {"HX": Methods("ekf", "ekf"), "CC": Methods("nls", "ukf")}
+
+
+def test_component_takes_the_method_of_its_use(tmp_path):
+    (tmp_path / "estimators.toml").write_text('CC = { design = "pso", health = "ukf" }\n')
+
+    assert [by_home(CC, tmp_path, use).estimator for use in ("design", "health")] == ["pso", "ukf"]
+
+
+def test_component_without_a_line_stays(tmp_path):
+    (tmp_path / "estimators.toml").write_text('HX = "ekf"\n')
+
+    assert by_home(CC, tmp_path, "health") is CC
+
+
+def test_method_of_another_package_is_known(tmp_path, monkeypatch):
+    install_method(monkeypatch, Newton())
+    (tmp_path / "estimators.toml").write_text(f'HX = "{NAME}"\n')
+
+    chosen = chosen_methods(tmp_path)
+    forget_methods()
+
+    assert chosen == {"HX": Methods(NAME, NAME)}
+
+
+def test_refusal_names_key_value_methods(tmp_path):
+    (tmp_path / "estimators.toml").write_text("HX = 'magic'")
+
+    with pytest.raises(StoreError) as refusal:
+        chosen_methods(tmp_path)
+
+    assert re.search(r"estimators\.toml: 'HX' = 'magic': .*methods are nls, pso, ekf, ukf, pinn", str(refusal.value))
+
+
+@pytest.mark.parametrize("text", ["", 'HX = "nls"\n'])
+def test_declared_method_changes_nothing(tmp_path, text):
+    (tmp_path / "estimators.toml").write_text(text)
+
+    assert [name for name, read in HOME_SETTINGS.items() if read(tmp_path)] == []
 
 
 def test_accepted_terms_are_a_file_of_the_home_that_makes_the_model_stale(tmp_path):
@@ -187,7 +243,7 @@ UNSHOWN: dict[str, Callable[[Path], None]] = {
 }
 READERS = {
     "retention.toml": retention, "notify.toml": receivers_of, "costs.toml": read_costs, "alerts.toml": alert_limits,
-    "terms.txt": accepted_terms, "roles.toml": read_people, "tasks.toml": read_tasks,
+    "terms.txt": accepted_terms, "estimators.toml": chosen_methods, "roles.toml": read_people, "tasks.toml": read_tasks,
     "dagster/dagster.yaml": open_instance,
 }  # fmt: skip
 

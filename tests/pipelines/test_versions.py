@@ -185,3 +185,26 @@ def test_limits_of_the_home_make_alerts_stale_and_nothing_else(ledger):
     assert [t for t in tables if not expected_versions(ledger, t).equals(before[t])] == ["features_alerts"]
     (ledger.home / "alerts.toml").write_text("fouling = 0.15")  # the default
     assert all(expected_versions(ledger, t).equals(before[t]) for t in tables)
+
+
+METHOD_LINES = {
+    'HX = { health = "ekf" }': ["twin_flights"],
+    'CC = { health = "ekf" }': ["twin_flights"],
+    'HX = { design = "ekf" }': ["calibration_dsm"],
+    'CAC = { design = "ekf" }': ["calibration_components"],
+    'CAC = { health = "ekf" }': ["twin_health"],
+    'HX = "nls"': [],
+}
+"""Line of estimators.toml, and the tables that it makes stale by itself."""
+
+
+@pytest.mark.parametrize(("line", "stale"), METHOD_LINES.items())
+def test_method_makes_stale_what_it_makes(ledger, line, stale):
+    tables = ["legs_samples", "calibration_dsm", "twin_flights", "residuals", "calibration_components", "twin_health"]
+    deliver(ledger, A, "cac/one.csv", [], "k1", "component")
+    make(ledger, "raw_components")
+    before = {t: expected_versions(ledger, t) for t in tables}
+
+    (ledger.home / "estimators.toml").write_text(line)
+
+    assert [t for t in tables if not expected_versions(ledger, t).equals(before[t])] == stale

@@ -1,0 +1,192 @@
+"""The pack's parts by any method: design and each flight's health lie near the default's, or are none."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+from strangers import NAME, Lost, Newton, forget_methods, install_method
+
+from hdt_core.calibration.calibrate import calibrate
+from hdt_core.calibration.dsm import Dsm, design_parameters
+from hdt_core.calibration.flight_estimates import estimate_flights
+from hdt_core.components.pack import CC, HX, Parts
+from hdt_core.records.keys import IN_ORDER
+from hdt_core.tracking.track import track
+
+METHODS = ("ekf", "ukf", "pso", "pinn", NAME)
+VALUES = {"ln_ua_ratio": "ln_ua_ratio_sd", "diameter_m": "diameter_m_se", "efficiency": "efficiency_se"}
+DESIGN = {"intercept_m": "intercept_sd_m", "slope_m_per_count": "slope_sd_m_per_count",
+          "group_m3": "group_sd_m3", "efficiency": "efficiency_sd"}  # fmt: skip
+
+
+def by(method: str) -> Parts:
+    """Both parts by one method."""
+    return Parts(replace(HX, estimator=method), replace(CC, estimator=method))
+
+
+@pytest.fixture
+def package(monkeypatch) -> Iterator[Callable[[object], None]]:
+    """Have a package bring a method."""
+    yield lambda method: install_method(monkeypatch, method)
+    forget_methods()
+
+
+@pytest.fixture
+def stranger(package) -> None:
+    """A package that brings `newton`."""
+    package(Newton())
+
+
+@pytest.fixture(scope="module")
+def few(fleet) -> pl.DataFrame:
+    """Samples of five flights of two packs."""
+    first = fleet.samples.filter(tail="T-00")["flight_id"].unique().sort().head(5)
+    return fleet.samples.filter(pl.col("flight_id").is_in(first.implode()))
+
+
+@pytest.fixture(scope="module")
+def default(few, model) -> pl.DataFrame:
+    """The same flights by the default."""
+    return estimate_flights(few, model).sort(IN_ORDER)
+
+
+@pytest.mark.usefixtures("stranger")
+@pytest.mark.parametrize("column", VALUES)
+@pytest.mark.parametrize("method", METHODS)
+def test_flight_lies_near_the_default(few, model, default, method, column):
+    flights = estimate_flights(few, model, by(method)).sort(IN_ORDER)
+
+    sd = np.hypot(flights[VALUES[column]], default[VALUES[column]])
+    assert (np.abs(flights[column] - default[column]) < 3.0 * sd).all()
+
+
+@pytest.mark.usefixtures("stranger")
+def test_other_columns_stay(few, model, default):
+    flights = estimate_flights(few, model, by(NAME)).sort(IN_ORDER)
+
+    same = [c for c in default.columns if c not in {*VALUES, *VALUES.values(), "ua_w_k", "door_apart_ln"}]
+    assert flights.select(sorted({*same} - {"cc_n_samples"})).equals(default.select(sorted({*same} - {"cc_n_samples"})))
+
+
+def test_nls_is_the_closed_form(few, model, default):
+    assert estimate_flights(few, model, by("nls")).sort(IN_ORDER).equals(default)
+
+
+@pytest.mark.parametrize(
+    ("lost", "status"),
+    [
+        (Lost("diverged"), "diverged"),
+        (Lost("not_identifiable"), "not_identifiable"),
+        (Lost("converged", mean=np.nan), "diverged"),
+        (Lost("converged", mean=np.inf), "diverged"),
+    ],
+)
+def test_method_without_an_answer_says_so(few, model, package, lost, status):
+    package(lost)
+
+    flights = estimate_flights(few, model, by(NAME))
+
+    assert flights.select("status", "cc_status").unique().rows() == [(status, status)]
+    assert flights.select(*VALUES, *VALUES.values()).null_count().row(0) == (flights.height,) * 6
+
+
+def test_flights_without_an_answer_are_predicted(few, model, nothing_done, package):
+    package(Lost("diverged"))
+
+    health = track(estimate_flights(few, model, by(NAME)), nothing_done, model, parts=by(NAME)).health
+
+    assert health.filter(parameter="hx_fouling")["status"].unique().to_list() == ["predicted"]
+
+
+def test_diameter_without_an_answer_says_why(few, model, nothing_done, package):
+    package(Lost("diverged"))
+
+    health = track(estimate_flights(few, model, by(NAME)), nothing_done, model, parts=by(NAME)).health
+
+    assert health.filter(parameter="cc_effective_diameter_m")["status"].unique().to_list() == ["diverged"]
+
+
+def test_diffuser_that_is_not_recorded_leaves_diameter(few, model):
+    blind = few.with_columns(vda_counts=pl.lit(None, pl.Float64))
+
+    flights = estimate_flights(blind, model, by("ekf"))
+
+    usual = estimate_flights(blind, model)
+    np.testing.assert_allclose(flights["diameter_m"], usual["diameter_m"], rtol=0.03)
+
+
+def test_exit_temperature_that_is_not_recorded_costs_efficiency(few, model):
+    flights = estimate_flights(few.with_columns(cc_out_k=pl.lit(None, pl.Float64)), model, by("ekf"))
+
+    assert flights["efficiency"].null_count() == flights.height
+    assert flights["diameter_m"].null_count() == 0
+
+
+def test_spike_moves_no_estimate(few, model):
+    n = pl.int_range(pl.len()).over("flight_id", "pack")
+    spiked = few.with_columns(hx_out_k=pl.col("hx_out_k") + pl.when(n == 3).then(25.0).otherwise(0.0))
+
+    clean, odd = (estimate_flights(rows, model, by("ekf")).sort(IN_ORDER) for rows in (few, spiked))
+
+    np.testing.assert_allclose(odd["ln_ua_ratio"], clean["ln_ua_ratio"], atol=0.02)
+
+
+@pytest.fixture(scope="module")
+def two(fleet):
+    """Two aircraft of the fleet."""
+    return fleet.only("T-00", "T-01")
+
+
+@pytest.fixture(scope="module")
+def usual(two) -> Dsm:
+    """Their model by the default."""
+    return calibrate(two.samples, two.legs, two.maintenance)
+
+
+@pytest.fixture(scope="module")
+def calibrated(two) -> Callable[[str], Dsm]:
+    """Their model by a method."""
+    return lambda method: calibrate(two.samples, two.legs, two.maintenance, (), by(method))
+
+
+@pytest.mark.usefixtures("stranger")
+@pytest.mark.parametrize("method", METHODS)
+def test_design_lies_near_the_default(usual, calibrated, method):
+    dsm = calibrated(method)
+
+    sd = np.sqrt(np.diag(usual.exchanger_cov))
+    np.testing.assert_allclose((dsm.design - usual.design) / sd, 0.0, atol=1.0)
+    for value, value_sd in DESIGN.items():
+        off = getattr(dsm.compressor, value) - getattr(usual.compressor, value)
+        assert abs(off) < 2.0 * getattr(usual.compressor, value_sd), value
+
+
+@pytest.mark.usefixtures("stranger")
+def test_design_names_its_method(calibrated):
+    rows = design_parameters(calibrated(NAME)).filter(scope="fleet")
+
+    made_by = dict(rows.select("parameter", "estimator").rows())
+    assert (made_by["hx_exponent_hot"], made_by["cc_efficiency"]) == (NAME, f"{NAME}, pooled")
+
+
+def test_design_without_an_answer_is_the_default(two, usual, calibrated, package):
+    package(Lost("diverged"))
+
+    dsm = calibrated(NAME)
+
+    assert dsm.exchanger == usual.exchanger
+    assert (dsm.exchanger_method, dsm.compressor.method) == (f"{NAME} without an estimate, finished by nls", "nls")
+
+
+@pytest.mark.usefixtures("stranger")
+def test_models_of_two_methods_have_two_versions(usual, calibrated):
+    assert calibrated(NAME).dsm_version != usual.dsm_version
+
+
+def test_model_of_before_is_read(usual):
+    stored = usual.to_dict()
+    del stored["exchanger_method"], stored["compressor"]["method"]
+
+    assert Dsm.from_dict(stored) == usual

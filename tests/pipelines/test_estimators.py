@@ -1,0 +1,63 @@
+"""A home names its estimators, and a night runs them."""
+
+import pytest
+from nights import once, run
+from zones import drop_fleet, simulated
+
+from pipelines.storage.catalog import connect
+
+LINE = 'HX = "ekf"\nCC = { design = "pinn", health = "ukf" }\n'
+
+
+@pytest.fixture(scope="module")
+def homes(tmp_path_factory):
+    """Landing zone and home of an aircraft whose second night has methods of its own, and what the nights ran."""
+    top = once(tmp_path_factory, "estimators", lambda folder: folder.mkdir())
+    landing, home = top / "landing", top / "home"
+    landing.mkdir()
+    home.mkdir()
+    zone = simulated(21, 25, operator="QQX", tail="Z9")
+    zone.drop_csv(landing)
+    zone.drop_papers(landing)
+    drop_fleet(landing, [zone])
+    run(landing, home)
+    before = made_by(home, "health_parameters")
+    (home / "estimators.toml").write_text(LINE)
+    second, third = run(landing, home), run(landing, home)
+    return home, before, second, third
+
+
+def made_by(home, view: str) -> dict[str, str]:
+    """Estimator of each parameter."""
+    with connect(home) as con:
+        return dict(con.execute(f"select distinct parameter, estimator from {view}").fetchall())
+
+
+def test_home_without_a_file_runs_the_default(homes):
+    _home, before, _second, _third = homes
+
+    assert (before["hx_fouling"], before["hx_fouling_smoothed"]) == ("nls, filtered", "nls, smoothed")
+
+
+def test_health_names_its_method(homes):
+    health = made_by(homes[0], "health_parameters")
+
+    assert (health["hx_fouling"], health["hx_fouling_smoothed"]) == ("ekf, filtered", "ekf, smoothed")
+    assert (health["cc_efficiency_loss"], health["cc_effective_diameter_m"]) == ("ukf, filtered", "ukf")
+
+
+def test_design_names_its_method(homes):
+    design = made_by(homes[0], "design_parameters")
+
+    assert (design["hx_exponent_hot"], design["cc_efficiency"]) == ("ekf", "pinn, pooled")
+
+
+def test_changed_line_is_taken_up_at_once(homes):
+    _home, _before, second, _third = homes
+
+    assert (second.new_files, second.failed) == (0, {})
+    assert second.cells > 0
+
+
+def test_unchanged_line_leaves_the_night_idle(homes):
+    assert homes[3].idle
