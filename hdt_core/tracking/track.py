@@ -8,6 +8,7 @@ import polars as pl
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.baseline_wear import EntryWear
+from hdt_core.calibration.component_fit import has_closed_form
 from hdt_core.calibration.compressor import ENTRY_UNIT_SD
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.exchanger import BIAS_SD
@@ -149,10 +150,14 @@ def _loss(flights: pl.DataFrame, component: Component, param: Param, ln_ratio: A
 def effective_diameter(flights: pl.DataFrame, part: Component = PARTS.compressor) -> pl.DataFrame:
     """Build rows of `cc_effective_diameter_m`.
 
-    Scatter from sample to sample is mostly the machine's, and no error of the flight's median.
+    Scatter from sample to sample is mostly the machine's, and no error of the flight's median; it is one of the level
+    that another method fits.
     """
-    noise = SAMPLE_SD * median_error(np.maximum(flights["cc_n_samples"].to_numpy(), 1.0))
     value = flights["diameter_m"]
+    if has_closed_form(part):
+        noise = SAMPLE_SD * median_error(np.maximum(flights["cc_n_samples"].to_numpy(), 1.0))
+    else:
+        noise = (flights["diameter_m_se"] / value).to_numpy()
     sd = (value * pl.Series(np.hypot(PROBE_SD, noise))).set(value.is_null(), None)
     known_status = pl.when(pl.col("cc_n_samples") > 0).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
     why_null = pl.coalesce("cc_status", pl.lit("not_recorded"))

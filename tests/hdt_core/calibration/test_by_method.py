@@ -108,6 +108,15 @@ def test_diameter_without_an_answer_says_why(few, model, nothing_done, package):
     assert health.filter(parameter="cc_effective_diameter_m")["status"].unique().to_list() == ["diverged"]
 
 
+def test_diameter_of_a_method_has_its_deviation(few, model, nothing_done):
+    flights = estimate_flights(few, model, by("ekf")).sort(IN_ORDER)
+
+    rows = track(flights, nothing_done, model, parts=by("ekf")).health.filter(parameter="cc_effective_diameter_m")
+
+    expected = np.hypot(0.0025 * flights["diameter_m"], flights["diameter_m_se"])
+    np.testing.assert_allclose(rows.sort(IN_ORDER)["sd"], expected)
+
+
 def test_diffuser_that_is_not_recorded_leaves_diameter(few, model):
     blind = few.with_columns(vda_counts=pl.lit(None, pl.Float64))
 
