@@ -15,26 +15,26 @@ def judge_record(ledger: Ledger) -> pl.DataFrame:
     """Judge all stored flights by the present record and clock: rows of `record_held`."""
     store = Store(ledger.home)
     deliveries = store.read_table("raw_fleet").select(*AIRCRAFT, "delivered_on").unique(AIRCRAFT)
-    held = judge_flights(store.read_table("raw_flights"), deliveries, datetime.now(UTC))
-    if held.is_empty():
-        return held
-    files = ledger.of(held.select("operator", "tail").unique().rows()).flight_files().sort("path")
+    held_rows = judge_flights(store.read_table("raw_flights"), deliveries, datetime.now(UTC))
+    if held_rows.is_empty():
+        return held_rows
+    files = ledger.of(held_rows.select("operator", "tail").unique().rows()).flight_files().sort("path")
     received_at = pl.from_epoch(pl.col("mtime_ns").first() // 1_000_000_000).dt.replace_time_zone("UTC")
     first_files = files.group_by(FLIGHT).agg(pl.col("path").first().alias("file"), received_at.alias("held_since"))
-    named = held.drop("file", "held_since").join(first_files, on=FLIGHT, how="left", validate="1:1")
-    return named.select(held.columns).sort(*FLIGHT)
+    named = held_rows.drop("file", "held_since").join(first_files, on=FLIGHT, how="left", validate="1:1")
+    return named.select(held_rows.columns).sort(*FLIGHT)
 
 
 def held_flights(ledger: Ledger) -> pl.DataFrame:
     """Read the held flights, of all aircraft or those of the ledger: rows of `record_held`."""
-    held = Store(ledger.home).read_table(HELD)
+    held_rows = Store(ledger.home).read_table(HELD)
     if ledger.only is None:
-        return held
+        return held_rows
     aircraft = pl.DataFrame(ledger.only, schema=AIRCRAFT, orient="row")
-    return held.join(aircraft, on=AIRCRAFT, how="semi")
+    return held_rows.join(aircraft, on=AIRCRAFT, how="semi")
 
 
 def is_any_due(ledger: Ledger) -> bool:
     """Return whether the clock has passed the time of a flight that was held for lying after it."""
-    held = Store(ledger.home).read_table(HELD)
-    return not held.filter(pl.col("reason") == "after_clock", pl.col("landed_at") <= datetime.now(UTC)).is_empty()
+    held_rows = Store(ledger.home).read_table(HELD)
+    return not held_rows.filter(pl.col("reason") == "after_clock", pl.col("landed_at") <= datetime.now(UTC)).is_empty()

@@ -50,21 +50,21 @@ def lines_of_night(
     list of Line
     """
     last_at = cast("datetime | None", departures.max())
-    held = _held(entries, now)
-    lost = _lost_cases(entries, before, now)
-    old_ids = {*before["alert_id"], *held.values()}
+    held_cases = _held_cases(entries, now)
+    lost_cases = _lost_cases(entries, before, now)
+    old_ids = {*before["alert_id"], *held_cases.values()}
     alerts = {row["alert_id"]: row for row in now.to_dicts()}
     new_ids = alerts.keys() - old_ids
-    followed = _assign(_pairs(lost, now, last_at), new_ids)
-    joined, in_use = set(followed.values()), {*held, *followed}
+    followed = _assign(_pairs(lost_cases, now, last_at), new_ids)
+    joined, in_use = set(followed.values()), {*held_cases, *followed}
     # a case that others join is written down before them, and one whose name is another's by now gets a name
-    own_cases = {a: new_id() if a in in_use else a for a in sorted(alerts.keys() - set(held.values()))}
+    own_cases = {a: new_id() if a in in_use else a for a in sorted(alerts.keys() - set(held_cases.values()))}
     begun = {c: a for a, c in own_cases.items() if (a in joined and a not in new_ids) or (a not in joined and c != a)}
     pairs = [*begun.items(), *followed.items()]
     lines = [_line(FOLLOW, case_id, alerts[alert_id], last_at) for case_id, alert_id in pairs]
     withdrawn = set(_last_lines(entries).filter(kind=WITHDRAW)["case_id"])
-    gone = lost.filter(~pl.col("case_id").is_in([*followed, *withdrawn]))
-    lines += [_line(WITHDRAW, row["case_id"], row, last_at) for row in gone.to_dicts()]
+    ended_cases = lost_cases.filter(~pl.col("case_id").is_in([*followed, *withdrawn]))
+    lines += [_line(WITHDRAW, row["case_id"], row, last_at) for row in ended_cases.to_dicts()]
     return lines
 
 
@@ -79,7 +79,7 @@ def _last_lines(entries: pl.DataFrame) -> pl.DataFrame:
     return entries.sort("line").unique("case_id", keep="last", maintain_order=True)
 
 
-def _held(entries: pl.DataFrame, alerts: pl.DataFrame) -> dict[str, str]:
+def _held_cases(entries: pl.DataFrame, alerts: pl.DataFrame) -> dict[str, str]:
     """Map cases to their alert: the last of those their lines name that is among `alerts`."""
     present = entries.join(alerts, on="alert_id", how="semi")
     return dict(_last_lines(present).select("case_id", "alert_id").iter_rows())
@@ -93,10 +93,14 @@ def _lost_cases(entries: pl.DataFrame, before: pl.DataFrame, now: pl.DataFrame) 
         line=pl.lit(0, pl.Int64), case_id="alert_id", alert_id="alert_id"
     )
     from_store = pl.concat([unnamed, named]).join(stored, on="alert_id", maintain_order="left", validate="m:1")
-    known = pl.concat([_spans_in_log(entries), from_store], how="diagonal_relaxed").with_row_index("n")
-    is_raised = pl.col("case_id").is_in(list(_held(entries, now))) | pl.col("alert_id").is_in(list(now["alert_id"]))
+    known_cases = pl.concat([_spans_in_log(entries), from_store], how="diagonal_relaxed").with_row_index("n")
+    is_raised = pl.col("case_id").is_in(list(_held_cases(entries, now))) | pl.col("alert_id").is_in(
+        list(now["alert_id"])
+    )
     # of what the night before stored the last, else what the log itself has
-    return known.filter(~is_raised).sort("n").unique("case_id", keep="last", maintain_order=True).drop("n", "line")
+    return (
+        known_cases.filter(~is_raised).sort("n").unique("case_id", keep="last", maintain_order=True).drop("n", "line")
+    )
 
 
 def _spans_in_log(entries: pl.DataFrame) -> pl.DataFrame:
@@ -110,11 +114,11 @@ def _spans_in_log(entries: pl.DataFrame) -> pl.DataFrame:
     return _last_lines(spans.with_columns(**ends)).select("line", "case_id", "alert_id", *_KIND, "sensor", *_SPAN)
 
 
-def _pairs(lost: pl.DataFrame, now: pl.DataFrame, last_at: datetime | None) -> list[tuple[str, str]]:
+def _pairs(lost_cases: pl.DataFrame, now: pl.DataFrame, last_at: datetime | None) -> list[tuple[str, str]]:
     """Return lost cases with each alert of the same kind open at a common moment, the nearest first."""
-    if lost.is_empty() or now.is_empty():
+    if lost_cases.is_empty() or now.is_empty():
         return []
-    pairs = lost.join(now, on=_KIND, suffix="_now", nulls_equal=True, validate="m:m")
+    pairs = lost_cases.join(now, on=_KIND, suffix="_now", nulls_equal=True, validate="m:m")
     same_sensor = pl.col("sensor").is_null() | (pl.col("sensor") == pl.col("sensor_now"))  # old lines name none
     overlap = (pl.col("raised_at") <= _end("closed_at_now")) & (pl.col("raised_at_now") <= _end("closed_at"))
     distance = _apart(pl.col("raised_at"), pl.col("raised_at_now")) + _apart(

@@ -126,12 +126,14 @@ def _find_unfitted(records: pl.DataFrame, totals: pl.DataFrame) -> pl.DataFrame:
     if zeros.is_empty():
         return _as_findings(zeros.with_columns(n_readings="n"), NOT_FITTED)
     channels = totals.join(zeros, on=key, how="semi")
-    found = channels.filter(is_zero.fill_null(False).all().over(key))
+    candidates = channels.filter(is_zero.fill_null(False).all().over(key))
     compresses = pl.col("cc_out_pa").median() > WORKING_RATIO * pl.col("cc_in_pa").median()
     flows = pl.max_horizontal(pl.col(s).median() for s in FLOWS) > RUNNING_KG_S
     works = (compresses.fill_null(False) | flows.fill_null(False)).alias("works")
-    recordings = records.join(found.select(RECORDING).unique(), on=RECORDING, how="semi").group_by(RECORDING).agg(works)
-    rows = found.join(recordings, on=RECORDING, how="left", validate="m:1")
+    recordings = (
+        records.join(candidates.select(RECORDING).unique(), on=RECORDING, how="semi").group_by(RECORDING).agg(works)
+    )
+    rows = candidates.join(recordings, on=RECORDING, how="left", validate="m:1")
     is_off = pl.col("signal").is_in(SILENT_WHEN_OFF) & ~pl.col("works")
     return _as_findings(rows.filter(~is_off).with_columns(n_readings="n"), NOT_FITTED)
 
@@ -180,15 +182,15 @@ def _find_lower_rates(records: pl.DataFrame, totals: pl.DataFrame) -> pl.DataFra
     empty = {s: ~pl.col(s).is_between(*LIMITS[s][:2]).fill_null(False) for s in SIGNALS}
     rows = records.join(suspects.select(RECORDING).unique(), on=RECORDING, how="semi").sort(*RECORDING, "time_utc")
     recordings = rows.with_columns(e.alias(s) for s, e in empty.items()).partition_by(RECORDING, as_dict=True)
-    found = []
+    candidates = []
     for *recording, signal in suspects.iter_rows():
         own = recordings[tuple(recording)]
         gaps = regular_gaps(own[signal].to_numpy(), _positions(own))
         if gaps:
-            found.append((*recording, signal, gaps, 1.0 - gaps / own.height))
+            candidates.append((*recording, signal, gaps, 1.0 - gaps / own.height))
     columns = [*RECORDING, "signal", "n_readings", "delivered_share"]
     schema = {name: SCHEMA[name] for name in columns}
-    return _as_findings(pl.DataFrame(found, schema=schema, orient="row"), LOWER_RATE)
+    return _as_findings(pl.DataFrame(candidates, schema=schema, orient="row"), LOWER_RATE)
 
 
 def _positions(recording: pl.DataFrame) -> Array:

@@ -27,9 +27,9 @@ def judge_component(
     DataFrame
         Of `records.recoveries.judge_work`.
     """
-    sent = messages.filter(pl.col("code") == (component.message_code or "")).drop_nulls("pack")
+    own_messages = messages.filter(pl.col("code") == (component.message_code or "")).drop_nulls("pack")
     actions = tuple(dict.fromkeys((*NEW_UNIT, *component.ended_by)))
-    return judge_work(flights, maintenance, sent, component.code, actions)
+    return judge_work(flights, maintenance, own_messages, component.code, actions)
 
 
 def judge_log(
@@ -44,16 +44,16 @@ def judge_log(
     return pl.concat(parts)
 
 
-def settled_log(maintenance: pl.DataFrame, judged: pl.DataFrame) -> pl.DataFrame:
+def settled_log(maintenance: pl.DataFrame, judgements: pl.DataFrame) -> pl.DataFrame:
     """Return the log without work that the flights do not show, the rest where and when they show it."""
-    return pl.concat([_unjudged(maintenance, judged), settle(judged)], how="diagonal_relaxed")
+    return pl.concat([_unjudged(maintenance, judgements), settle(judgements)], how="diagonal_relaxed")
 
 
-def known_log(maintenance: pl.DataFrame, judged: pl.DataFrame) -> pl.DataFrame:
+def known_log(maintenance: pl.DataFrame, judgements: pl.DataFrame) -> pl.DataFrame:
     """Return the log as the record of each time had it: work counts from `counts_from`, and until `until` if given."""
-    return pl.concat([_unjudged(maintenance, judged), as_known(judged)], how="diagonal_relaxed")
+    return pl.concat([_unjudged(maintenance, judgements), as_known(judgements)], how="diagonal_relaxed")
 
 
-def _unjudged(maintenance: pl.DataFrame, judged: pl.DataFrame) -> pl.DataFrame:
-    columns = [c for c in maintenance.columns if c in judged.columns]
-    return maintenance.join(judged.select(columns), on=columns, how="anti", nulls_equal=True, maintain_order="left")
+def _unjudged(maintenance: pl.DataFrame, judgements: pl.DataFrame) -> pl.DataFrame:
+    columns = [c for c in maintenance.columns if c in judgements.columns]
+    return maintenance.join(judgements.select(columns), on=columns, how="anti", nulls_equal=True, maintain_order="left")

@@ -120,8 +120,8 @@ def tracks(features: pl.DataFrame, lives: pl.DataFrame, component: str, units: p
     units = lives.with_columns(known_row="first_row") if units is None else units
     flown = _flown_by(rows, units.filter(pl.col("component") == component))
     panel = _panel(flown.filter(pl.col("value").is_not_null()), int(flown["life_id"].max() or 0) + 1)  # type: ignore[arg-type]
-    known = flown.filter("is_known").select(*PACK, "row", "life_id", "column")
-    rows = rows.drop("life_id").join(known, on=[*PACK, "row"], maintain_order="left", validate="1:1")
+    known_rows = flown.filter("is_known").select(*PACK, "row", "life_id", "column")
+    rows = rows.drop("life_id").join(known_rows, on=[*PACK, "row"], maintain_order="left", validate="1:1")
     rows = rows.with_columns(pack_id=(pl.struct(*PACK).rank("dense").cast(pl.Int64) - 1))
     at = rows.select("life_id", "column").to_numpy()
     return Tracks(

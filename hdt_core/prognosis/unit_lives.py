@@ -129,7 +129,7 @@ def units_on_record(features: pl.DataFrame, messages: pl.DataFrame, maintenance:
 
 def answers(
     flights: pl.DataFrame,
-    judged: pl.DataFrame,
+    judgements: pl.DataFrame,
     messages: pl.DataFrame,
     maintenance: pl.DataFrame,
     component: Component,
@@ -140,7 +140,7 @@ def answers(
     ----------
     flights : DataFrame
         Of `loss_rows`.
-    judged : DataFrame
+    judgements : DataFrame
         Of `judge_component`.
 
     Returns
@@ -149,11 +149,13 @@ def answers(
         `PACK`, `message_row`, `next_row` (first flight after the work), `is_near` (within `ANSWER_FLIGHTS`), and of the
         work `action`, `done_on`, `reference`, `verdict`.
     """
-    work = _work_rows(flights, judged).filter(pl.col("action").is_in(RENEWALS))
+    work = _work_rows(flights, judgements).filter(pl.col("action").is_in(RENEWALS))
     work = work.with_columns(last_row=pl.col("next_row").shift(1).over(PACK).fill_null(0))
     after = flights.select(*PACK, "loss", "loss_sd", next_row="row", next_day="day")
-    sent = _credible_messages(flights, messages, maintenance, component)
-    pairs = work.join(after, on=[*PACK, "next_row"], validate="m:1").join(sent, on=PACK, suffix="_then", validate="m:m")
+    own_messages = _credible_messages(flights, messages, maintenance, component)
+    pairs = work.join(after, on=[*PACK, "next_row"], validate="m:1").join(
+        own_messages, on=PACK, suffix="_then", validate="m:m"
+    )
     pairs = pairs.filter(pl.col("message_row").is_between("last_row", "next_row"))
     is_recent = pl.col("next_day") - pl.col("day") <= pl.duration(days=LATE_DAYS)
     has_recovered = as_recovery("loss_then", "loss_sd_then", "loss", "loss_sd")
@@ -163,17 +165,19 @@ def answers(
     cleared = pairs.join(_cleared(maintenance, component), on=PACK, suffix="_cleared", validate="m:m").filter(
         pl.col("done_on_cleared").is_between("day", "next_day", closed="right"), ~pl.col("is_near")
     )
-    found = pairs.filter(is_logged | is_shown)
-    found = found.join(cleared, on=[*PACK, "message_row", "next_row"], how="anti")
-    return found.select(*PACK, "message_row", "next_row", "is_near", "action", "done_on", "reference", "verdict").sort(
-        *PACK, "message_row"
-    )
+    matches = pairs.filter(is_logged | is_shown)
+    matches = matches.join(cleared, on=[*PACK, "message_row", "next_row"], how="anti")
+    return matches.select(
+        *PACK, "message_row", "next_row", "is_near", "action", "done_on", "reference", "verdict"
+    ).sort(*PACK, "message_row")
 
 
-def _work_rows(flights: pl.DataFrame, judged: pl.DataFrame) -> pl.DataFrame:
+def _work_rows(flights: pl.DataFrame, judgements: pl.DataFrame) -> pl.DataFrame:
     """Join work that counts with `next_row`, the first flight after it; of several on one flight a replacement."""
     work = (
-        judged.filter("in_force").with_columns(pack="position").sort("flown_from", "action", descending=[False, True])
+        judgements.filter("in_force")
+        .with_columns(pack="position")
+        .sort("flown_from", "action", descending=[False, True])
     )
     if "reference" not in work.columns:
         work = work.with_columns(reference=pl.lit(None, pl.String))
@@ -193,10 +197,10 @@ def _work_rows(flights: pl.DataFrame, judged: pl.DataFrame) -> pl.DataFrame:
 def _lives(
     flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
 ) -> pl.DataFrame:
-    judged = judge_component(flights, messages, maintenance, component)
-    answered = answers(flights, judged, messages, maintenance, component)
+    judgements = judge_component(flights, messages, maintenance, component)
+    answered = answers(flights, judgements, messages, maintenance, component)
     ends = answered.group_by(*PACK, "next_row").agg(pl.col("message_row").min())
-    replaced = _work_rows(flights, judged.filter(pl.col("action").is_in(NEW_UNIT)))
+    replaced = _work_rows(flights, judgements.filter(pl.col("action").is_in(NEW_UNIT)))
     washed = answered.filter(~pl.col("action").is_in(NEW_UNIT))
     starts = [
         flights.select(PACK).unique().with_columns(first_row=pl.lit(0, pl.Int64), age_known=False),
@@ -224,8 +228,8 @@ def _credible_messages(
     flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
 ) -> pl.DataFrame:
     """Select rows with the component's message, without those followed by an inspection that found no fault."""
-    sent = messages.filter(pl.col("code") == (component.message_code or "")).select(LEG).unique()
-    rows = flights.join(sent, on=LEG, validate="m:1")
+    own_messages = messages.filter(pl.col("code") == (component.message_code or "")).select(LEG).unique()
+    rows = flights.join(own_messages, on=LEG, validate="m:1")
     inspections = _cleared(maintenance, component)
     # inspected on one of the three days after: the message had another cause (the same day's entry may precede it)
     false_rows = rows.join(inspections, on=PACK, validate="m:m").filter(

@@ -73,17 +73,19 @@ def _fits(group: pl.DataFrame, record: pl.DataFrame, shift: pl.Expr) -> bool:
     shifted = shifted.with_columns(landed_at=pl.col("departed_at") + pl.col("duration")).sort("departed_at")
     day = pl.col("departed_at").dt.strftime("_%Y%m%d")
     ids = pl.concat_str(pl.col("flight_id").str.head(-12), day, pl.col("flight_id").str.tail(3))
-    taken = shifted.with_columns(ids.alias("flight_id")).join(record, on="flight_id", suffix="_taken", validate="m:1")
+    namesakes = shifted.with_columns(ids.alias("flight_id")).join(
+        record, on="flight_id", suffix="_taken", validate="m:1"
+    )
     is_near = (pl.col("departed_at") - pl.col("departed_at_taken")).abs() <= SAME_FLIGHT
     is_same = is_near & (pl.col("source") != pl.col("source_taken"))
-    if not taken.select(is_same.all()).item():
+    if not namesakes.select(is_same.all()).item():
         return False
-    record = record.join(taken, on="flight_id", how="anti")
+    record = record.join(namesakes, on="flight_id", how="anti")
     before = record.select("departed_at", last_at="landed_at")
     after = record.select("departed_at", next_at="departed_at")
-    placed = shifted.join_asof(before, on="departed_at").join_asof(after, on="departed_at", strategy="forward")
+    between_flights = shifted.join_asof(before, on="departed_at").join_asof(after, on="departed_at", strategy="forward")
     since = pl.col("departed_at") - pl.col("last_at")
     until = pl.col("next_at") - pl.col("landed_at")
     in_hole = (since >= timedelta(0)).fill_null(True).all() & (until >= timedelta(0)).fill_null(True).all()
     near = pl.min_horizontal(since.min(), until.min()) <= NEAR
-    return bool(placed.select((in_hole & near).fill_null(False)).item())
+    return bool(between_flights.select((in_hole & near).fill_null(False)).item())

@@ -55,27 +55,27 @@ def exchanged_packs(flights: pl.DataFrame) -> pl.DataFrame:
     standardised = ordered.select(*FLIGHT, *(pl.col(n) / pl.when(s > 0.0).then(s) for n, s in sd.items()))
     suspects = standardised.filter(pl.Series(_find_changes(standardised)))
     aircraft = suspects.select(AIRCRAFT).unique(maintain_order=True).iter_rows(named=True)
-    held = [_flights_of_exchange(standardised.filter(**own)) for own in aircraft]
-    return pl.concat([standardised.clear(), *held]).select(*FLIGHT, reason=pl.lit(EXCHANGED))
+    held_flights = [_flights_of_exchange(standardised.filter(**own)) for own in aircraft]
+    return pl.concat([standardised.clear(), *held_flights]).select(*FLIGHT, reason=pl.lit(EXCHANGED))
 
 
-def unused(held: pl.DataFrame) -> pl.DataFrame:
+def unused(held_flights: pl.DataFrame) -> pl.DataFrame:
     """Select the held flights from which nothing is computed."""
-    return held.filter(pl.col("reason") != EXCHANGED)
+    return held_flights.filter(pl.col("reason") != EXCHANGED)
 
 
-def usable_rows(rows: pl.DataFrame, held: pl.DataFrame) -> pl.DataFrame:
+def usable_rows(rows: pl.DataFrame, held_flights: pl.DataFrame) -> pl.DataFrame:
     """Return the recorded rows of the flights that are used, with exchanged packs in their own places.
 
     Parameters
     ----------
     rows : DataFrame
         Of `raw_snapshots` and `raw_logs`.
-    held : DataFrame
+    held_flights : DataFrame
         Of `record_held`.
     """
-    used = rows.join(unused(held), on=FLIGHT, how="anti", maintain_order="left")
-    exchanged = held.filter(reason=EXCHANGED).select(*FLIGHT, is_exchanged=True)
+    used = rows.join(unused(held_flights), on=FLIGHT, how="anti", maintain_order="left")
+    exchanged = held_flights.filter(reason=EXCHANGED).select(*FLIGHT, is_exchanged=True)
     if exchanged.is_empty():
         return used
     marked = used.join(exchanged, on=FLIGHT, how="left", maintain_order="left", validate="m:1")

@@ -47,13 +47,13 @@ def judge_flights(flights: pl.DataFrame, delivered_on: pl.DataFrame, now: dateti
     DataFrame
         Rows of `record_held` without file and arrival.
     """
-    held = [_alone(flights, now)]
-    rest = flights.join(held[0], on=FLIGHT, how="anti")
+    held_flights = [_alone(flights, now)]
+    rest = flights.join(held_flights[0], on=FLIGHT, how="anti")
     for judge in (_continuations, overlapping, lambda own: _out_of_reach(own, delivered_on), exchanged_packs):
-        found = judge(rest)
-        held.append(found)
-        rest = rest.join(found, on=FLIGHT, how="anti")
-    verdicts = pl.concat(held, how="diagonal")
+        verdict = judge(rest)
+        held_flights.append(verdict)
+        rest = rest.join(verdict, on=FLIGHT, how="anti")
+    verdicts = pl.concat(held_flights, how="diagonal")
     of_flights = flights.select(*FLIGHT, "departed_at", "landed_at")
     return RecordHeld.conform(of_flights.join(verdicts, on=FLIGHT, validate="1:1"))
 
@@ -88,8 +88,8 @@ def _continuations(flights: pl.DataFrame) -> pl.DataFrame:
     change_m = (pl.col("first_altitude_m") - pl.col("last_altitude_m_before")).abs()
     lowest_m = pl.min_horizontal("first_altitude_m", "last_altitude_m_before")
     continues = pause_s.is_between(0, CONTINUES_S) & (lowest_m > CRUISE_FLOOR_M) & (change_m < CLIMB_RATE_M_S * pause_s)
-    found = pairs.filter(continues.fill_null(False))
-    return found.select(*FLIGHT, reason=pl.lit("continuation"), other_flight_id="flight_id_before")
+    verdict = pairs.filter(continues.fill_null(False))
+    return verdict.select(*FLIGHT, reason=pl.lit("continuation"), other_flight_id="flight_id_before")
 
 
 def _out_of_reach(flights: pl.DataFrame, delivered_on: pl.DataFrame) -> pl.DataFrame:

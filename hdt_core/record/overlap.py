@@ -31,15 +31,15 @@ def overlapping(flights: pl.DataFrame) -> pl.DataFrame:
     DataFrame
         `FLIGHT`, `reason`, `other_flight_id`.
     """
-    held = [flights.select(FLIGHT, reason=pl.lit(None, pl.String), other_flight_id="flight_id").clear()]
+    held_flights = [flights.select(FLIGHT, reason=pl.lit(None, pl.String), other_flight_id="flight_id").clear()]
     rest = flights
     for _ in range(MAX_ROUNDS):
-        found = _first_overlaps(rest)
-        if found.is_empty():
+        verdict = _first_overlaps(rest)
+        if verdict.is_empty():
             break
-        held.append(found)
-        rest = rest.join(found, on=FLIGHT, how="anti")
-    return pl.concat(held)
+        held_flights.append(verdict)
+        rest = rest.join(verdict, on=FLIGHT, how="anti")
+    return pl.concat(held_flights)
 
 
 def _first_overlaps(flights: pl.DataFrame) -> pl.DataFrame:

@@ -43,7 +43,7 @@ def out_of_reach(flights: pl.DataFrame, delivered_on: pl.DataFrame) -> pl.DataFr
     grouped = _with_groups(flights)
     groups = _groups(grouped).join(delivered_on, on=AIRCRAFT, how="left", validate="m:1")
     suspects = groups.filter(~pl.col("is_main") | (pl.col("n") < FEW_FLIGHTS)).sort(_GROUP)
-    held = [nothing]
+    held_flights = [nothing]
     for suspect in suspects.iter_rows(named=True):
         others = groups.filter((pl.col("operator") != suspect["operator"]) | (pl.col("tail") != suspect["tail"]))
         is_new = suspect["is_main"] and others["n"].sum() < FEW_FLIGHTS  # there is no fleet yet
@@ -54,8 +54,8 @@ def out_of_reach(flights: pl.DataFrame, delivered_on: pl.DataFrame) -> pl.DataFr
         group = own.filter(group=suspect["group"])
         cause = likely_cause(group, own.filter(pl.col("group") != suspect["group"]))
         if cause or suspect["n"] < FEW_FLIGHTS:
-            held.append(group.select(FLIGHT, likely_cause=pl.lit(cause, pl.String)))
-    return pl.concat(held)
+            held_flights.append(group.select(FLIGHT, likely_cause=pl.lit(cause, pl.String)))
+    return pl.concat(held_flights)
 
 
 def _with_groups(flights: pl.DataFrame) -> pl.DataFrame:

@@ -59,14 +59,14 @@ def find_recoveries(loss: Array, loss_sd: Array) -> list[int]:
     loss, loss_sd : array, shape (flights,)
         Of a position's flights in order, NaN where unknown.
     """
-    known = np.flatnonzero(np.isfinite(loss) & np.isfinite(loss_sd))
-    level, sd = loss[known], loss_sd[known]
-    before = np.maximum(np.arange(known.size) - RECOVERY_FLIGHTS, 0)
+    known_rows = np.flatnonzero(np.isfinite(loss) & np.isfinite(loss_sd))
+    level, sd = loss[known_rows], loss_sd[known_rows]
+    before = np.maximum(np.arange(known_rows.size) - RECOVERY_FLIGHTS, 0)
     has_recovered = np.flatnonzero(is_recovery(level[before], sd[before], level, sd))
     is_first = np.diff(has_recovered, prepend=-np.inf) > 2 * RECOVERY_FLIGHTS
     starts = (slice(before[k] + 1, k + 1) for k in has_recovered[is_first])
     falls = np.diff(level, prepend=np.nan)
-    return [int(known[s.start + np.nanargmin(falls[s])]) for s in starts]
+    return [int(known_rows[s.start + np.nanargmin(falls[s])]) for s in starts]
 
 
 @dataclass(slots=True)
@@ -91,8 +91,11 @@ class _Position:
 
     def known_before(self, row: int) -> tuple[float, float]:
         """Return the last known loss before a flight and its standard deviation."""
-        known = np.flatnonzero(np.isfinite(self.loss[:row]))
-        return (float(self.loss[known[-1]]), float(self.loss_sd[known[-1]])) if known.size else (np.nan, np.nan)
+        known_rows = np.flatnonzero(np.isfinite(self.loss[:row]))
+        if not known_rows.size:
+            return np.nan, np.nan
+        last = known_rows[-1]
+        return float(self.loss[last]), float(self.loss_sd[last])
 
     def is_worn(self, row: int) -> bool:
         """Whether a renewal before a flight would show: the loss before it is as large as a recovery."""
@@ -101,10 +104,10 @@ class _Position:
 
     def unshown_from(self, row: int) -> int | None:
         """Return the flight after which work before `row` counts as not done: the loss never fell to a half of it."""
-        known = row + np.flatnonzero(np.isfinite(self.loss[row:]))[:RECOVERY_FLIGHTS]
-        if known.size < RECOVERY_FLIGHTS or not self.is_worn(row):
+        known_rows = row + np.flatnonzero(np.isfinite(self.loss[row:]))[:RECOVERY_FLIGHTS]
+        if known_rows.size < RECOVERY_FLIGHTS or not self.is_worn(row):
             return None
-        return int(known[-1]) if self.loss[known].min() > 0.5 * self.known_before(row)[0] else None
+        return int(known_rows[-1]) if self.loss[known_rows].min() > 0.5 * self.known_before(row)[0] else None
 
 
 @dataclass(slots=True)
@@ -270,12 +273,12 @@ def as_known(judged: pl.DataFrame) -> pl.DataFrame:
     DataFrame
         The log's columns with `pack` where it counted, `flown_from`, and `counts_from` and `until`, the moments.
     """
-    held = judged.filter(pl.col("verdict") != REPEATED).with_columns(until="known_until")
-    moved = held.filter(verdict=ELSEWHERE)
+    standing_work = judged.filter(pl.col("verdict") != REPEATED).with_columns(until="known_until")
+    work_elsewhere = standing_work.filter(verdict=ELSEWHERE)
     # until it was known to be of another position, it counted where it is logged
-    as_logged = moved.with_columns(until="known_from", flown_from="counts_from")
+    as_logged = work_elsewhere.with_columns(until="known_from", flown_from="counts_from")
     as_logged = as_logged.filter(pl.col("until").is_null() | (pl.col("until") > pl.col("counts_from")))
-    settled = held.with_columns(pack="position", counts_from="known_from").drop_nulls("counts_from")
+    settled = standing_work.with_columns(pack="position", counts_from="known_from").drop_nulls("counts_from")
     columns = [c for c in judged.columns if c not in JUDGED]
     return pl.concat([as_logged, settled]).select(*columns, "flown_from", "until")
 
@@ -287,7 +290,7 @@ def units_as_known(flights: pl.DataFrame, judged: pl.DataFrame) -> pl.DataFrame:
     ----------
     flights : DataFrame
         `PACK`, `departed_at`, `row` (the pack's flights from 0).
-    judged : DataFrame
+    judgements : DataFrame
         Of `judge_work`.
 
     Returns
@@ -313,10 +316,10 @@ def _units_of(
     """Yield known row and first row of each unit after the first, and of one that turned out to have stayed."""
     stayed = 0
     for flown_from, known_from, until in work:
-        first, known = (bisect_left(departed_at, moment) for moment in (flown_from, known_from))
-        if known == len(departed_at):
+        first, known_row = (bisect_left(departed_at, moment) for moment in (flown_from, known_from))
+        if known_row == len(departed_at):
             continue
-        yield known, first
+        yield known_row, first
         if until is None:
             stayed = first
         elif until <= departed_at[-1]:

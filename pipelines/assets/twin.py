@@ -112,20 +112,20 @@ def features(
     The maintenance log is judged by the losses first.
     """
     declared = recorded_in(legs_components)
-    judged = judge_log(twin_health, raw_messages, raw_maintenance, (HX, CC, *declared))
-    known = known_log(raw_maintenance, judged)
-    inputs = (twin_health, residuals_components, legs_components, known)
+    judgements = judge_log(twin_health, raw_messages, raw_maintenance, (HX, CC, *declared))
+    log_as_known = known_log(raw_maintenance, judgements)
+    inputs = (twin_health, residuals_components, legs_components, log_as_known)
     pack = describe(
         of_pack(twin_health),
         residuals,
         legs_verdicts,
-        known,
+        log_as_known,
         twin_flights=twin_flights,
         cross_checks=features_cross_checks,
         demand=features_margin,
     )
     components = [component_features(*inputs, c) for c in declared]
-    return pack, conform_all("features_components", components), judged
+    return pack, conform_all("features_components", components), judgements
 
 
 @stage

@@ -276,7 +276,7 @@ def _record(home: Path) -> Check:
     """Check for flights that are held."""
     try:
         with connect(home) as con:
-            held = held_lines(held_flights(con, HELD_GROUPS))
+            lines_of_held = held_lines(held_flights(con, HELD_GROUPS))
     except StoreError as error:
         return Check("record", False, str(error))
-    return Check("record", not held, "; ".join(held) or "no flight is held")
+    return Check("record", not lines_of_held, "; ".join(lines_of_held) or "no flight is held")

@@ -226,10 +226,10 @@ def _print_log_faults(home: Path) -> None:
     from pipelines.storage.catalog import connect
 
     with connect(home) as con:
-        refused, judged = refused_logs(con), judged_work_lines(con)
+        refused, work_lines = refused_logs(con), judged_work_lines(con)
     for line in refused:
         err.print(f"refused: {line}", soft_wrap=True)
-    for line in judged:
+    for line in work_lines:
         err.print(f"log: {line}", soft_wrap=True)
 
 
@@ -243,10 +243,10 @@ def _print_refusals(home: Path, files: frozenset[str]) -> None:
         quarantined, silent = quarantine_line(con, files), silent_columns(con)
         refused = file_lines(con, files, notes=False)
         noted = file_lines(con, files, notes=True)
-        held = held_lines(held_flights(con, HELD_GROUPS))
+        lines_of_held = held_lines(held_flights(con, HELD_GROUPS))
     if quarantined:
         err.print(f"set aside: {quarantined}", soft_wrap=True)
-    for line in held:
+    for line in lines_of_held:
         err.print(f"held: {line}", soft_wrap=True)
     for line in refused:
         err.print(f"nothing stored of: {line}", soft_wrap=True)

@@ -61,11 +61,11 @@ def find_airframes(lines: Sequence[FleetLine], apart: Iterable[Aircraft] = ()) -
     places = {place for pair in contradictions for place in pair}
     sound = [replace(line, msn=None) if i in places else line for i, line in enumerate(lines)]
     keys, prefixes = [("", "")] * len(sound), [""] * len(sound)
-    taken: dict[Aircraft, int] = {}
+    numbers: dict[Aircraft, int] = {}
     for own in _by_airframe(sound):
         folder = sound[own[0]].folder
-        taken[folder] = taken.get(folder, 0) + 1
-        key = folder if taken[folder] == 1 else (folder[0], f"{folder[1]}.{taken[folder]}")
+        numbers[folder] = numbers.get(folder, 0) + 1
+        key = folder if numbers[folder] == 1 else (folder[0], f"{folder[1]}.{numbers[folder]}")
         for i in own:
             line, keys[i] = sound[i], key
             earlier = {sound[j].folder for j in own[: own.index(i)]} - {line.folder}
@@ -78,13 +78,13 @@ def add_airframes(file: LandingFile, intake: FileIntake) -> FileIntake:
     """Add their airframes to the lines of a fleet list, as in `raw_fleet`, and a note for each contradiction."""
     rows = intake.rows.with_columns(pl.col("type").fill_null(""))
     airframes = find_airframes([FleetLine(*row) for row in rows.iter_rows()], file.apart)
-    found: dict[str, list[str | None]] = {
+    texts: dict[str, list[str | None]] = {
         "msn": [line.msn for line in airframes.lines],
         "airframe_operator": [operator for operator, _ in airframes.keys],
         "airframe_tail": [tail for _, tail in airframes.keys],
         "flight_prefix": [*airframes.prefixes],
     }
-    columns = [pl.Series(name, values, pl.String) for name, values in found.items()]
+    columns = [pl.Series(name, values, pl.String) for name, values in texts.items()]
     lines = rows.with_columns(columns).with_columns(pl.col("type").replace("", None))
     notes = [Fault("lines_contradict", detail=f"{words}.") for words in airframes.contradictions]
     quarantine = pl.concat([intake.quarantine, file.quarantine(notes)])
@@ -160,7 +160,7 @@ def _takeover(before: FleetLine, after: FleetLine) -> date | None:
 
 def _of_one_tail(lines: Sequence[FleetLine]) -> dict[tuple[int, int], str]:
     """Find lines of one operator and tail that give it to two airframes on one day."""
-    found = {}
+    contradictions = {}
     ordered = sorted(range(len(lines)), key=lambda i: (lines[i].folder, _begin(lines[i])))
     for i, j in pairwise(ordered):
         before, after = lines[i], lines[j]
@@ -169,13 +169,13 @@ def _of_one_tail(lines: Sequence[FleetLine]) -> dict[tuple[int, int], str]:
         since = _takeover(before, after)
         if since is None or since <= _begin(before) or (before.valid_to and before.valid_to >= since):
             name = "/".join(before.folder)
-            found[i, j] = f"{name} is msn {before.msn or '(none)'} and {after.msn or '(none)'} on the same day"
-    return found
+            contradictions[i, j] = f"{name} is msn {before.msn or '(none)'} and {after.msn or '(none)'} on the same day"
+    return contradictions
 
 
 def _of_one_msn(lines: Sequence[FleetLine], apart: set[Aircraft]) -> dict[tuple[int, int], str]:
     """Find lines that give one airframe two names on one day."""
-    found = {}
+    contradictions = {}
     for i, j in _successions(lines):
         before, after = lines[i], lines[j]
         if before.valid_to and after.valid_from:
@@ -184,8 +184,8 @@ def _of_one_msn(lines: Sequence[FleetLine], apart: set[Aircraft]) -> dict[tuple[
             contradictory = {before.folder, after.folder} <= apart
         if contradictory:
             names = " and ".join("/".join(line.folder) for line in (before, after))
-            found[i, j] = f"msn {before.msn} is {names} on the same day"
-    return found
+            contradictions[i, j] = f"msn {before.msn} is {names} on the same day"
+    return contradictions
 
 
 def _overlap(some: Sequence[date], others: Sequence[date]) -> bool:

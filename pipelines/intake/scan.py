@@ -77,14 +77,16 @@ def scan(landing: Path, ledger: Ledger) -> Scan:
 def find_loss(landing: Path, zone: Scan, records: Records) -> str:
     """Name the files that could be read when the zone was scanned and were not read so since; empty without any."""
     read_paths = sorted(zone.read_paths.intersection(records))
-    lost = [path for path in read_paths if not Registered.parse(records[path].digest).content_hash]
+    unread_paths = [path for path in read_paths if not Registered.parse(records[path].digest).content_hash]
     was_unmounted = not zone.files and FLEET_LIST in records
     had_list = FLEET_LIST in zone.read_paths or was_unmounted
     if had_list and not (landing / FLEET_LIST).is_file():
-        lost = list(dict.fromkeys([FLEET_LIST, *lost]))
-    if not lost:
+        unread_paths = list(dict.fromkeys([FLEET_LIST, *unread_paths]))
+    if not unread_paths:
         return ""
-    names = ", ".join(lost[:MAX_NAMES]) + (f" and {len(lost) - MAX_NAMES} more" if len(lost) > MAX_NAMES else "")
+    names = ", ".join(unread_paths[:MAX_NAMES]) + (
+        f" and {len(unread_paths) - MAX_NAMES} more" if len(unread_paths) > MAX_NAMES else ""
+    )
     return f"vanished, unreadable or changed while the night ran: {names}; the next night reads what is there then"
 
 

@@ -147,11 +147,11 @@ class CaseLog:
         """
         if damage := self._damage():
             return damage
-        own, kept = self.entries(), with_ids(stored)
-        n_missing = kept.join(own, on="id", how="anti").height
+        own, stored_rows = self.entries(), with_ids(stored)
+        n_missing = stored_rows.join(own, on="id", how="anti").height
         if n_missing:
             return f"lacks {n_missing} lines that the tables hold" if own.height else "is gone"
-        both = (own.join(kept, on="id", how="semi"), kept)
+        both = (own.join(stored_rows, on="id", how="semi"), stored_rows)
         is_same = both[0].drop("line").sort("id").equals(both[1].select(own.columns).drop("line").sort("id"))
         return None if is_same else "holds a line that is not what was written"
 
@@ -184,18 +184,18 @@ class CaseLog:
         if is_damaged:
             path.rename(path.with_name(f"{FILE}.damaged"))
             fault = f"{fault} ({FILE}.damaged)"
-        kept = [
+        stored_rows = [
             {k: v for k, v in row.items() if v is not None} for row in with_ids(stored).sort("line", "at").to_dicts()
         ]
-        kept = [row | {"at": row["at"].isoformat(timespec="microseconds")} for row in kept]
-        known = {row["id"] for row in kept}
+        stored_rows = [row | {"at": row["at"].isoformat(timespec="microseconds")} for row in stored_rows]
+        stored_ids = {row["id"] for row in stored_rows}
         with self._writing() as con:
             own = rescued if is_damaged else _read_lines(con)
-            since = [row for row in own if row["id"] not in known]
-            _rewrite(con, heapq.merge(kept, since, key=lambda row: str(row["at"])), is_file=not self.url)
-        if not known:
+            since = [row for row in own if row["id"] not in stored_ids]
+            _rewrite(con, heapq.merge(stored_rows, since, key=lambda row: str(row["at"])), is_file=not self.url)
+        if not stored_ids:
             return f"the log of cases {fault}; it begins anew with {len(since)} lines"
-        put_back = len(known - {row["id"] for row in own}) or len(known)
+        put_back = len(stored_ids - {row["id"] for row in own}) or len(stored_ids)
         end = f"and {len(since)} since the last night" if since else "and those since the last night, if any, are lost"
         return f"the log of cases {fault}; {put_back} lines are put back, {end}"
 
@@ -240,9 +240,9 @@ def _rewrite(con: Any, rows: Iterable[_Line], is_file: bool) -> None:
     """Write all lines anew, numbered in this order."""
     if is_file:
         con.execute("drop trigger no_delete")
-    numbered = [(n, *(row[c] for c in _OWN[1:]), _body_of(row)) for n, row in enumerate(rows, 1)]
+    numbered_rows = [(n, *(row[c] for c in _OWN[1:]), _body_of(row)) for n, row in enumerate(rows, 1)]
     con.execute("delete from cases")
-    con.executemany(_ADD, numbered)
+    con.executemany(_ADD, numbered_rows)
     if is_file:
         con.execute(_NEVER[1])
 

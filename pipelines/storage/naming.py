@@ -50,7 +50,7 @@ def read_names(store: Store) -> list[Name]:
     )
     present = dict[tuple[str, str], tuple[str, str]]()
     for *key, operator, tail in last.reverse().select(*_LINE, "operator", "tail").rows():
-        n_later = sum(taken[0] == operator and taken[1].split(".")[0] == tail for taken in present.values())
+        n_later = sum(place[0] == operator and place[1].split(".")[0] == tail for place in present.values())
         present[key[0], key[1]] = operator, f"{tail}.{n_later}" if n_later else tail
     rows = lines.select(*_LINE, "flight_tail", "operator", "tail").rows()
     return [Name((o, t), present[o, t], flight_tail, (operator, tail)) for o, t, flight_tail, operator, tail in rows]

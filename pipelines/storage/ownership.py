@@ -71,16 +71,16 @@ _LAST_OF_CASE = """(
 def _renamed(columns: Sequence[str], operator: str, names: Sequence[Name]) -> str:
     """Return the clause that gives airframes which another operator has now the names they had with this one."""
     name_here = {n.key: n.present for n in names_of(operator, names)}
-    gone = {n.present: name_here[n.key] for n in names if name_here.get(n.key, n.present) != n.present}
+    renamed = {n.present: name_here[n.key] for n in names if name_here.get(n.key, n.present) != n.present}
     pairs = [p for p in (("operator", "tail"), ("airframe_operator", "airframe_tail")) if set(p) <= set(columns)]
-    if not gone or not pairs:
+    if not renamed or not pairs:
         return ""
     values = []
     for pair in pairs:
         for place, column in enumerate(pair):
             cases = "".join(
                 f" when t.{pair[0]} = {quote(old[0])} and t.{pair[1]} = {quote(old[1])} then {quote(new[place])}"
-                for old, new in gone.items()
+                for old, new in renamed.items()
             )
             values.append(f"case{cases} else t.{column} end as {column}")
     return f" replace ({', '.join(values)})"

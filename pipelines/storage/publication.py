@@ -309,9 +309,9 @@ def find_staleness(home: Path) -> str | None:
     if not night or night != ledger.last_night():
         return "it was not that of the last night"
     published = ledger.snapshots()[night]
-    moved = [table for table in TABLES if store.tables.newest_version(table) != published.get(table)]
-    current = {f"{table}/{file}" for table in moved for file in store.tables.shards(table).values()}
-    of_moved = {path for path in files if path.split("/")[0] in moved}
+    changed_tables = [table for table in TABLES if store.tables.newest_version(table) != published.get(table)]
+    current = {f"{table}/{file}" for table in changed_tables for file in store.tables.shards(table).values()}
+    of_moved = {path for path in files if path.split("/")[0] in changed_tables}
     return None if current == of_moved else "it was older than the tables"  # a vacuum moves a version and no file
 
 
