@@ -248,10 +248,10 @@ def test_a_flight_that_makes_a_stage_fail_is_found_and_named(error, zone, seven,
     sick = zone.flights[4]
     real = twin_assets.estimate_flights
 
-    def estimate(samples, dsm):
+    def estimate(samples, dsm, *parts):
         if sick in samples["flight_id"]:
             raise error("matrix is singular")
-        return real(samples, dsm)
+        return real(samples, dsm, *parts)
 
     monkeypatch.setattr(twin_assets, "estimate_flights", estimate)
     night = run(landing, home)
@@ -269,10 +269,10 @@ def test_a_row_that_breaks_its_declaration_is_set_aside_and_the_others_are_store
     sick = zone.flights[2]
     real = twin_assets.estimate_flights
 
-    def estimate(samples, dsm):
+    def estimate(samples, dsm, *parts):
         odd = (pl.col("flight_id") == sick) & (pl.col("pack") == 2)
         infinite = pl.when(odd).then(float("inf")).otherwise("flows_apart_ln")
-        return real(samples, dsm).with_columns(infinite.alias("flows_apart_ln"))
+        return real(samples, dsm, *parts).with_columns(infinite.alias("flows_apart_ln"))
 
     monkeypatch.setattr(twin_assets, "estimate_flights", estimate)
     assert run(landing, home).failed == {}
