@@ -102,7 +102,7 @@ NO_SENSOR = ("hx", "cc", "nothing")
 PART_CHANGE_ODDS = 10.0
 """Odds of such a change, and of nothing but chance, against the fault of one sensor: parts wear on every flight, a
 sensor fails once in some thousands."""
-BOTH_PACKS_ODDS = 0.3
+BOTH_PACKS_ODDS = 0.001
 """Odds that scale, map or software of a signal changed on both packs, against the fault of one sensor: a type's map is
 revised once in some years, and seldom in one signal."""
 EFFECT_ERROR = 0.3

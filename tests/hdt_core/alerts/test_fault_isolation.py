@@ -216,7 +216,7 @@ def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
                         log += np.log(p)
                 total += np.exp(log)
             is_one_change = whose == "both" and sensor not in ("tat_k", "total_pressure_pa", "mach", "altitude_m")
-            odds = 0.3 if is_one_change else 10.0 if sensor in ("hx", "cc", "nothing") else 1.0
+            odds = 0.001 if is_one_change else 10.0 if sensor in ("hx", "cc", "nothing") else 1.0
             weight[sensor, whose] = total * odds
     return {name: w / sum(weight.values()) for name, w in weight.items()}
 
