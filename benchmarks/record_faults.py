@@ -129,8 +129,7 @@ def split(rng: np.random.Generator, record: Record) -> Fault:
     flight = _any_flight(rng, record)
     rows = record.flights[flight]
     at = pl.col("report_time")
-    whole_min = (rows["report_time"].max() - rows["report_time"].min()).total_seconds() / 60.0  # type: ignore[operator, union-attr]
-    size_min = draw_size(rng, 5.0, whole_min)
+    size_min = draw_size(rng, 5.0, _duration_min(rows))
     cut = at.max() - timedelta(minutes=size_min)
     name = _free_leg(record, flight, _day(flight))
     parts = {flight: rows.filter(at < cut), name: _named(rows.filter(at >= cut), name)}
@@ -144,8 +143,7 @@ def join(rng: np.random.Generator, record: Record) -> Fault:
     first, second = names[place], names[place + 1]
     rows = record.flights[second]
     at = pl.col("report_time")
-    whole_min = (rows["report_time"].max() - rows["report_time"].min()).total_seconds() / 60.0  # type: ignore[operator, union-attr]
-    size_min = draw_size(rng, 5.0, whole_min + 1.0)
+    size_min = draw_size(rng, 5.0, _duration_min(rows) + 1.0)
     cut = at.min() + timedelta(minutes=size_min)
     joined = pl.concat([record.flights[first], _named(rows.filter(at < cut), first)], how="diagonal_relaxed")
     rest = rows.filter(at >= cut)
@@ -232,6 +230,13 @@ def _flights_in_a_row(rng: np.random.Generator, record: Record, n: int) -> list[
     names = list(record.flights)
     start = int(rng.integers(len(names) - n + 1))
     return names[start : start + n]
+
+
+def _duration_min(rows: pl.DataFrame) -> float:
+    first, last = rows.select(
+        pl.col("report_time").min().alias("first"), pl.col("report_time").max().alias("last")
+    ).row(0)
+    return float((last - first).total_seconds()) / 60.0
 
 
 def _day(flight: str) -> date:

@@ -94,13 +94,11 @@ def _lost_cases(entries: pl.DataFrame, before: pl.DataFrame, now: pl.DataFrame) 
     )
     from_store = pl.concat([unnamed, named]).join(stored, on="alert_id", maintain_order="left", validate="m:1")
     known_cases = pl.concat([_spans_in_log(entries), from_store], how="diagonal_relaxed").with_row_index("n")
-    is_raised = pl.col("case_id").is_in(list(_held_cases(entries, now))) | pl.col("alert_id").is_in(
-        list(now["alert_id"])
-    )
+    is_held = pl.col("case_id").is_in(list(_held_cases(entries, now)))
+    is_raised = pl.col("alert_id").is_in(list(now["alert_id"]))
     # of what the night before stored the last, else what the log itself has
-    return (
-        known_cases.filter(~is_raised).sort("n").unique("case_id", keep="last", maintain_order=True).drop("n", "line")
-    )
+    lost_cases = known_cases.filter(~is_held & ~is_raised).sort("n")
+    return lost_cases.unique("case_id", keep="last", maintain_order=True).drop("n", "line")
 
 
 def _spans_in_log(entries: pl.DataFrame) -> pl.DataFrame:

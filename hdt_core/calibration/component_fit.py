@@ -23,8 +23,6 @@ WITHOUT_ESTIMATE = ("diverged", "not_identifiable")
 MIN_SAMPLES = 3
 LEAST_LOSS = -1.0
 """Lower bound of a loss counted from a fleet's part, of which a unit may be far better. [-]"""
-
-
 CLOSED_FORM = "nls"
 """Method of which the night computes the answer on the pack's parts in closed form, sample by sample."""
 

@@ -235,9 +235,8 @@ def _as_built(levels: Array, wear: float) -> tuple[float, float]:
     level = float(np.median(ln_levels)) + LN_ABOVE
     loss_sds = (level[:, None] - ln_levels) / ENTRY_UNIT_SD
     rate = ENTRY_UNIT_SD / (wear * np.exp(ENTRY_WEAR_SD_LN * SCORES))[:, None, None]
-    log = (np.log(rate) + 0.5 * rate**2 - rate * loss_sds + log_ndtr(loss_sds - rate)).sum(axis=2) - 0.5 * SCORES[
-        :, None
-    ] ** 2
+    log_density = np.log(rate) + 0.5 * rate**2 - rate * loss_sds + log_ndtr(loss_sds - rate)
+    log = log_density.sum(axis=2) - 0.5 * SCORES[:, None] ** 2
     weight = np.exp(log - log.max()).sum(axis=0)
     middle = float(np.average(level, weights=weight))
     sd = float(np.sqrt(np.average((level - middle) ** 2, weights=weight)))

@@ -130,9 +130,8 @@ def _find_unfitted(records: pl.DataFrame, totals: pl.DataFrame) -> pl.DataFrame:
     compresses = pl.col("cc_out_pa").median() > WORKING_RATIO * pl.col("cc_in_pa").median()
     flows = pl.max_horizontal(pl.col(s).median() for s in FLOWS) > RUNNING_KG_S
     works = (compresses.fill_null(False) | flows.fill_null(False)).alias("works")
-    recordings = (
-        records.join(candidates.select(RECORDING).unique(), on=RECORDING, how="semi").group_by(RECORDING).agg(works)
-    )
+    own_records = records.join(candidates.select(RECORDING).unique(), on=RECORDING, how="semi")
+    recordings = own_records.group_by(RECORDING).agg(works)
     rows = candidates.join(recordings, on=RECORDING, how="left", validate="m:1")
     is_off = pl.col("signal").is_in(SILENT_WHEN_OFF) & ~pl.col("works")
     return _as_findings(rows.filter(~is_off).with_columns(n_readings="n"), NOT_FITTED)

@@ -153,9 +153,8 @@ def answers(
     work = work.with_columns(last_row=pl.col("next_row").shift(1).over(PACK).fill_null(0))
     after = flights.select(*PACK, "loss", "loss_sd", next_row="row", next_day="day")
     own_messages = _credible_messages(flights, messages, maintenance, component)
-    pairs = work.join(after, on=[*PACK, "next_row"], validate="m:1").join(
-        own_messages, on=PACK, suffix="_then", validate="m:m"
-    )
+    with_levels = work.join(after, on=[*PACK, "next_row"], validate="m:1")
+    pairs = with_levels.join(own_messages, on=PACK, suffix="_then", validate="m:m")
     pairs = pairs.filter(pl.col("message_row").is_between("last_row", "next_row"))
     is_recent = pl.col("next_day") - pl.col("day") <= pl.duration(days=LATE_DAYS)
     has_recovered = as_recovery("loss_then", "loss_sd_then", "loss", "loss_sd")

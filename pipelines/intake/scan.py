@@ -84,9 +84,8 @@ def find_loss(landing: Path, zone: Scan, records: Records) -> str:
         unread_paths = list(dict.fromkeys([FLEET_LIST, *unread_paths]))
     if not unread_paths:
         return ""
-    names = ", ".join(unread_paths[:MAX_NAMES]) + (
-        f" and {len(unread_paths) - MAX_NAMES} more" if len(unread_paths) > MAX_NAMES else ""
-    )
+    n_more = len(unread_paths) - MAX_NAMES
+    names = ", ".join(unread_paths[:MAX_NAMES]) + (f" and {n_more} more" if n_more > 0 else "")
     return f"vanished, unreadable or changed while the night ran: {names}; the next night reads what is there then"
 
 
