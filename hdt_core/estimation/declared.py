@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hdt_core.estimation.compiled import COMPILED
+from hdt_core.estimation.integrated import Integrated, is_integrable
 from hdt_core.estimation.problem import Array, Belief, Kernels, Problem, Sample
 from hdt_core.physics.model import PhysicsModel
 
@@ -20,6 +22,7 @@ def declared_problem(
     dt_s: float = 1.0,
     flights_per_sample: float = 0.0,
     kernels: Kernels | None = None,
+    compiled: bool = COMPILED,
 ) -> Problem:
     """Estimate the parameters `free` of `model` from a record; all others keep their nominal values.
 
@@ -37,6 +40,8 @@ def declared_problem(
     flights_per_sample : float
         How many flights pass from one sample to the next, for the declared drift: none within a flight's record, one
         where every sample is a flight.
+    compiled : bool
+        Whether the rates of states are compiled, where their source is arithmetic that numba takes.
     """
     params = [next(p for p in model.params if p.name == name) for name in free]
     sensors = [(j, s) for j, s in enumerate(model.outputs) if s.name in measured and s.sigma is not None]
@@ -62,6 +67,10 @@ def declared_problem(
         return np.stack(np.broadcast_arrays(*model.advance(theta_by_name, signals, halfway, 0.5 * dt_s).values()))
 
     n_states = len(model.states)
+    quick = None
+    if is_integrable(model, inputs):
+        quick = Integrated(model, tuple(free), inputs, dt_s, transition, compiled)
+    by_sample = transition if model.states else None
     return Problem(
         names=tuple(free),
         bounds=np.array([p.bounds for p in params], float),
@@ -69,8 +78,9 @@ def declared_problem(
         measured=np.column_stack([np.asarray(measured[s.name], float) for _, s in sensors]),
         sigma=np.array([s.sigma for _, s in sensors], float),
         observe=observe,
-        transition=transition if model.states else None,
+        transition=by_sample if quick is None else quick.advance,
         half_steps=half_steps if model.states else None,
+        trajectory=None if quick is None else quick.follow,
         start=Belief(np.array([s.initial for s in model.states]), np.zeros((n_states, n_states))),
         drift=np.sqrt(flights_per_sample) * np.array([p.drift for p in params]),
         kernels=kernels,

@@ -60,7 +60,7 @@ def linearise(problem: Problem, theta: Array, weigh: Weigh | None = None) -> tup
     `weigh` gives the weight of each residual (k, m), which is over its standard deviation.
     """
     at = theta[0] if problem.group is None else theta
-    residual, slope = problem.residual(at), problem.sensitivity(at)
+    residual, slope = problem.linearised(at)
     slope = slope.reshape(*residual.shape, theta.shape[1])
     deviation, information = theta - problem.prior.mean, problem.prior.information
     with np.errstate(over="ignore", invalid="ignore"):
@@ -140,12 +140,27 @@ def descend_each(problem: Problem, origin: Array, max_steps: int = 200, n_evals:
         live = [walk for walk in live if walk.goes_on]
         if not live:
             break
-        part, trials = _trials(problem, live)
-        for walk, objective in zip(live, part.objective_each(trials[None])[0], strict=True):
-            walk.judge(float(objective))
-        _linearise_trials(problem, [walk for walk in live if walk.is_better])
+        if problem.trajectory is None:
+            _judge_trials(problem, live)
+        else:
+            _judge_models(problem, live[0])
         live = [walk for walk in live if walk.goes_on]
     return [walk.point for walk in walks]
+
+
+def _judge_trials(problem: Problem, walks: list[_Walk]) -> None:
+    """Compare objectives first, and compute derivatives where a trial is better."""
+    part, trials = _trials(problem, walks)
+    for walk, objective in zip(walks, part.objective_each(trials[None])[0], strict=True):
+        walk.judge(float(objective))
+    _linearise_trials(problem, [walk for walk in walks if walk.is_better])
+
+
+def _judge_models(problem: Problem, walk: _Walk) -> None:
+    """Compute objective and derivatives of a trial at once: columns of one integration cost hardly more than one."""
+    trial = quadratic_model(problem, walk.trial, walk.point.n_evals)
+    walk.judge(trial.objective)
+    walk.point = trial if walk.is_better else replace(walk.point, n_evals=trial.n_evals)
 
 
 def _linearise_trials(problem: Problem, walks: list[_Walk]) -> None:

@@ -105,7 +105,7 @@ class Estimate:
         problem = self.problem
         if problem is None or problem.half_steps is None or self.status == "diverged":
             return None
-        coarse, theta = replace(problem, kernels=None), self.belief.mean
+        coarse, theta = replace(problem, kernels=None, trajectory=None), self.belief.mean
         change = replace(coarse, transition=problem.half_steps).residual(theta) - coarse.residual(theta)
         slope = problem.sensitivity(theta)
         cov, _ = covariance_of_free(problem.bounds, slope.T @ slope + problem.prior.information)

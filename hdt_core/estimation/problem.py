@@ -15,6 +15,7 @@ Integers = npt.NDArray[np.int64]
 Sample = int | Integers
 Observe = Callable[[Array, Array, Sample], Array]
 Transition = Callable[[Array, Array, Sample], Array]
+Trajectory = Callable[[Array, int], Array]
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,8 @@ class Problem:
         Standard deviation of d per sample, the parameters' random walk; zero when not given.
     half_steps : function like `transition`, optional
         The same in two half steps, for the error that the step leaves in an estimate.
+    trajectory : function (theta (n, p), k) -> (k, s, p), optional
+        The states at k samples from the mean start, as repeated transitions give them; quicker than these.
     kernels : Kernels, optional
         Compiled equivalents of the above.
     group : array (k,) of int, optional
@@ -133,6 +136,7 @@ class Problem:
     process_sd: Array | None = None
     drift: Array | None = None
     half_steps: Transition | None = None
+    trajectory: Trajectory | None = None
     kernels: Kernels | None = None
     group: Integers | None = None
 
@@ -224,6 +228,10 @@ class Problem:
             of_sample = thetas.T[:, :, None] if self.group is None else np.moveaxis(thetas[:, self.group], -1, 0)
             outputs = np.asarray(self.observe(nothing, of_sample, np.arange(n_samples)))
             return np.broadcast_to(outputs, (n_outputs, len(thetas), n_samples)).transpose(1, 2, 0)
+        if self.trajectory is not None:
+            states = np.moveaxis(self.trajectory(thetas.T, n_samples), 0, -1)
+            outputs = np.asarray(self.observe(states, thetas.T[:, :, None], np.arange(n_samples)))
+            return np.broadcast_to(outputs, (n_outputs, len(thetas), n_samples)).transpose(1, 2, 0)
         x = np.repeat(self.start.mean[:, None], len(thetas), axis=1)
         outputs = np.empty((len(thetas), n_samples, n_outputs))
         for i in range(n_samples):
@@ -235,7 +243,10 @@ class Problem:
     def residual(self, theta: Array) -> Array:
         """Compute (simulated - measured) / sigma, 0 where missing, infinite where the model fails."""
         with np.errstate(all="ignore"):
-            residual = (self.simulate(theta) - self.measured) / self.sigma
+            return self._residual(self.simulate(theta))
+
+    def _residual(self, outputs: Array) -> Array:
+        residual = (outputs - self.measured) / self.sigma
         return np.where(np.isnan(self.measured), 0.0, np.where(np.isfinite(residual), residual, np.inf))
 
     def chi2(self, thetas: Array) -> Array:
@@ -269,20 +280,39 @@ class Problem:
         if self.kernels is not None and self.kernels.sensitivity is not None:
             slope = self.kernels.sensitivity(theta) / self.sigma[:, None]
         else:
-            slope = self._differences(theta)
-        return np.where(np.isnan(self.measured)[..., None], 0.0, slope).reshape(-1, theta.shape[-1])
+            ends, width = self._perturbed(theta)
+            with np.errstate(all="ignore"):
+                slope = self._differences(self.simulate(ends), width)
+        return self._recorded(slope)
 
-    def _differences(self, theta: Array) -> Array:
+    def linearised(self, theta: Array) -> tuple[Array, Array]:
+        """Compute `residual` and `sensitivity` at `theta` (n,), all in one batch where the states are integrated."""
+        if self.trajectory is None or self.kernels is not None:
+            return self.residual(theta), self.sensitivity(theta)
+        ends, width = self._perturbed(theta)
+        with np.errstate(all="ignore"):
+            outputs = self.simulate(np.vstack([ends, theta]))
+            slope = self._differences(outputs[:-1], width)
+            return self._residual(outputs[-1]), self._recorded(slope)
+
+    def _recorded(self, slope: Array) -> Array:
+        """Return a slope (k, m, n) as rows (k * m, n), zero where no value is measured."""
+        return np.where(np.isnan(self.measured)[..., None], 0.0, slope).reshape(-1, slope.shape[-1])
+
+    def _perturbed(self, theta: Array) -> tuple[Array, Array]:
+        """Return `theta` with one parameter raised, then lowered, inside the bounds (2 n, ..., n), and the widths."""
         n, step = theta.shape[-1], np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(theta), _scale(self))
         above = np.minimum(theta + step, self.bounds[:, 1])
         below = np.maximum(theta - step, self.bounds[:, 0])
         units = np.eye(n).reshape(n, *(1,) * (theta.ndim - 1), n)
         ends = np.concatenate([theta + units * (above - theta), theta + units * (below - theta)])
-        with np.errstate(all="ignore"):
-            outputs = self.simulate(ends)
-            width = np.moveaxis(np.where(above > below, above - below, np.inf), -1, 0)
-            width = width[:, None, None] if self.group is None else width[:, self.group, None]
-            slope = (outputs[:n] - outputs[n:]) / width / self.sigma
+        width = np.moveaxis(np.where(above > below, above - below, np.inf), -1, 0)
+        return ends, width[:, None, None] if self.group is None else width[:, self.group, None]
+
+    def _differences(self, outputs: Array, width: Array) -> Array:
+        """Compute the slope (k, m, n) of outputs / sigma from `outputs` (2 n, k, m) at perturbed parameters."""
+        n = len(width)
+        slope = (outputs[:n] - outputs[n:]) / width / self.sigma
         return np.nan_to_num(np.moveaxis(slope, 0, -1), nan=0.0, posinf=1e150, neginf=-1e150)
 
     def with_prior(self, prior: Belief) -> Problem:
