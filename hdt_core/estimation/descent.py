@@ -124,6 +124,15 @@ def descend(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int 
     return descend_each(problem, origin[None], max_steps, n_evals)[0]
 
 
+def descend_from_start(problem: Problem, max_steps: int = 200) -> Point:
+    """Minimise the objective from the prior's mean, by the problem's own kernel where it has one."""
+    if problem.kernels is None or problem.kernels.least_squares is None:
+        return descend(problem, problem.origin, max_steps)
+    prior = problem.prior
+    start = (problem.origin, *problem.bounds.T, prior.mean, prior.information)
+    return Point(*problem.kernels.least_squares(*start, max_steps))
+
+
 def descend_each(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int = 0) -> list[Point]:
     """Minimise the objective of each problem of a batch, side by side, from its row of `origin` (b, n)."""
     n, nothing = origin.shape[1], np.full((origin.shape[1],) * 2, np.nan)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.conclude import compare_with_descent, conclude, settle
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.kalman_step import (
     Correction,
@@ -37,6 +37,7 @@ from hdt_core.estimation.kalman_step import (
 from hdt_core.estimation.problem import Array, Belief, Problem
 
 STILL_SD = 1e-4  # of its standard deviation: an estimate that another pass moves by less has settled
+HARDLY_NARROWED = 0.5  # of the start's deviation: what a filter keeps that has learned nothing of a parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,11 +232,24 @@ def report(
     """Finish a recursion: project on the bounds, compute information and status."""
     if not (np.isfinite(belief.mean).all() and np.isfinite(belief.cov).all()):
         return diverged_estimate(problem, n_evals, fields["method"])
-    fields |= {"path": np.clip(path, *problem.bounds.T), "innovations": innovations, "cov": belief.cov}
     theta, own_objective = project_on_bounds(belief, *problem.bounds.T), own_objective or innovations is not None
-    if polish and not own_objective:
-        return settle(problem, theta, n_evals, **fields)
-    return conclude(problem, theta, status, n_evals, own_objective=own_objective, **fields)
+    cov = belief.cov if own_objective or has_learned(problem, belief) else None
+    fields |= {"path": np.clip(path, *problem.bounds.T), "innovations": innovations, "cov": cov}
+    if own_objective:
+        return conclude(problem, theta, status, n_evals, own_objective=True, **fields)
+    end = settle if polish else partial(conclude, outcome=status)
+    return compare_with_descent(problem, end(problem, theta, n_evals=n_evals, **fields))
+
+
+def has_learned(problem: Problem, belief: Belief) -> bool:
+    """Check whether the filter narrowed every free parameter from what it began with.
+
+    Sigma points spread over a wide start may lie where the model is flat: then the covariance stays the start's however
+    much the record holds, and only the curvature at the optimum measures that.
+    """
+    n = problem.prior.mean.size
+    start = joint_belief(problem).cov.diagonal()[-n:]
+    return bool((belief.cov.diagonal() <= HARDLY_NARROWED**2 * start).all())
 
 
 def diverged_estimate(problem: Problem, n_evals: int, method: str) -> Estimate:

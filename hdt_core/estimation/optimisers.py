@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdt_core.estimation.conclude import conclude, conclude_at, conclude_each, settle
-from hdt_core.estimation.descent import Point, descend, descend_each
+from hdt_core.estimation.descent import descend_each, descend_from_start
 from hdt_core.estimation.estimate import Estimate
 from hdt_core.estimation.problem import Array, Problem
 
@@ -28,12 +28,7 @@ class NonlinearLeastSquares:
 
     def estimate(self, problem: Problem) -> Estimate:
         """Minimise the sum of squares; covariance from the information at that point."""
-        if problem.kernels is None or problem.kernels.least_squares is None:
-            return conclude_at(problem, descend(problem, problem.origin, self.max_steps), method=self.name)
-        prior = problem.prior
-        start = (problem.origin, *problem.bounds.T, prior.mean, prior.information)
-        point = Point(*problem.kernels.least_squares(*start, self.max_steps))
-        return conclude_at(problem, point, method=self.name)
+        return conclude_at(problem, descend_from_start(problem, self.max_steps), method=self.name)
 
     def estimate_each(self, problem: Problem) -> list[Estimate]:
         """Estimate each problem of a batch, all side by side."""

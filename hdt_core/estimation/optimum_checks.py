@@ -82,7 +82,7 @@ def check_optima(problem: Problem, optima: Sequence[Point], variances: Array) ->
     for numbers in np.split(misfits, range(AT_ONCE, len(misfits), AT_ONCE)):
         ends = better_optima(problem.select(numbers), [optima[b] for b in numbers]) if len(numbers) else []
         for b, (end, n_evals) in zip(numbers, ends, strict=True):
-            is_better = optima[b].objective - end.objective > _worth(float(variances[b]))
+            is_better = optima[b].objective - end.objective > least_improvement(float(variances[b]))
             tests[b] = replace(tests[b], better=end if is_better else None, n_evals=passes + n_evals)
     return tests
 
@@ -113,7 +113,7 @@ def better_optima(problem: Problem, optima: Sequence[Point]) -> list[tuple[Point
     return ends
 
 
-def _worth(variance: float) -> float:
+def least_improvement(variance: float) -> float:
     """Return the least reduction of the objective that counts as another optimum: at least (sigma / 1000) squared."""
     return max(BETTER * variance, 1e-6)
 
@@ -172,7 +172,7 @@ def profile_intervals(problem: Problem, optimum: Point, cov: Array, variance: fl
             ends[i, side], without_limit[i, side], passes, low = _end(problem, optimum, cov, int(i), sign, variance)
             n_evals += passes
             lowest = low if low.objective < lowest.objective else lowest
-    better = lowest.theta if lowest.objective < optimum.objective - _worth(variance) else None
+    better = lowest.theta if lowest.objective < optimum.objective - least_improvement(variance) else None
     return Profile(problem.names, ends, without_limit, n_evals, better)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hdt_core.estimation import NonlinearLeastSquares, ParticleSwarm, Problem, unknown
+from hdt_core.estimation import ExtendedKalman, NonlinearLeastSquares, ParticleSwarm, Problem, unknown
 
 FOLDER = Path(__file__).parents[2] / "data" / "nist_strd"
 
@@ -134,6 +134,17 @@ def test_where_the_far_start_fails_it_is_said():
     for name in ("BoxBOD", "MGH10"):
         estimate = NonlinearLeastSquares().estimate(CERTIFIED[name].problem(1))
         assert estimate.status in ("not_identifiable", "max_steps")
+
+
+def test_filter_in_a_local_optimum_names_the_better():
+    case = CERTIFIED["ENSO"]
+    noise_sd = np.sqrt(case.sum_of_squares / (len(case.x) - len(case.values)))
+    problem = replace(case.problem(2), sigma=np.array([noise_sd]))
+
+    estimate = ExtendedKalman().estimate(problem)
+
+    assert estimate.status == "local_optimum"
+    assert (np.abs(estimate.better - case.values) < 1e-3 * case.sds).all()
 
 
 WIDE = {

@@ -14,10 +14,10 @@ from hdt_core.estimation.optimum_checks import (
     _crossing,
     _distinct_points,
     _refit_fixed,
-    _worth,
     better_optima,
     check_optima,
     is_nonquadratic,
+    least_improvement,
     profile_intervals,
 )
 
@@ -216,7 +216,7 @@ def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():
 
     for gap, is_better in ((0.9e-4, False), (1e-4, False), (1.1e-4, True)):
         assert has_better(gap) is is_better
-    assert _worth(1e-9) == 1e-6
+    assert least_improvement(1e-9) == 1e-6
     for n, points in ((1, 64), (3, 128), (4, 256), (8, 512), (16, 512)):
         tried: list = []
         many = Problem(
