@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from hdt_core.calibration.arrays import flights_of
+from hdt_core.calibration.arrays import Array, flights_of
 from hdt_core.calibration.diffuser_line import FAR_SD
 from hdt_core.components import Component
 from hdt_core.estimation import Estimate, Estimator, NonlinearLeastSquares, estimators
@@ -15,12 +15,14 @@ from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.estimate import estimate_each
 from hdt_core.estimation.problem import Belief, Problem, unknown
 from hdt_core.physics.model import PhysicsModel
+from hdt_core.physics.sensor_errors import with_sensor_errors
 from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER
 from hdt_core.robust import spread_expr
 
 WITHOUT_ESTIMATE = ("diverged", "not_identifiable")
 """Statuses of a flight whose values are no estimate."""
-MIN_SAMPLES = 3
+MIN_SAMPLES, MIN_FLIGHTS = 3, 5
+"""Samples of a flight from which it is estimated; flights from which their scatter is."""
 LEAST_LOSS = -1.0
 """Lower bound of a loss counted from a fleet's part, of which a unit may be far better. [-]"""
 CLOSED_FORM = "nls"
@@ -67,7 +69,8 @@ def calibrate_component(
     Returns
     -------
     PhysicsModel, Estimate
-        The digital system model: the same declaration with the estimates as its nominal values; and the estimate. Its
+        The digital system model: the same declaration with the estimates as its nominal values, the declared errors of
+        its sensors among them (`physics.sensor_errors`); and the estimate. Its
         status is `weakly_identifiable` where the nominal samples leave a design parameter open, which `Estimate.weak`
         names: health at other flows or temperatures than theirs then rests on a guess.
 
@@ -76,12 +79,49 @@ def calibrate_component(
     ValueError
         The samples do not determine the design, or the estimate is not finite.
     """
+    model = with_sensor_errors(model)
     free = [p.name for p in model.free("design")]
-    problem = samples_problem(samples, model, free, recorded_outputs(model, samples), declared_prior(model, free))
-    estimate = (estimator or NonlinearLeastSquares()).estimate(problem)
+    problem = samples_problem(samples, model, free, recorded_outputs(model, samples), partial_prior(model, free))
+    method = estimator or NonlinearLeastSquares()
+    estimate = method.estimate(problem)
+    if set(FLIGHT_PACK) <= set(samples.columns) and estimate.status not in WITHOUT_ESTIMATE:
+        sigma = sigma_with_flights(problem, estimate.belief.mean, samples)
+        estimate = method.estimate(replace(problem, sigma=sigma))
     if estimate.status in WITHOUT_ESTIMATE:
         raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {estimate.status}")
     return model.calibrated(dict(zip(free, map(float, estimate.belief.mean), strict=True))), estimate
+
+
+def sigma_with_flights(problem: Problem, theta: Array, samples: pl.DataFrame) -> Array:
+    r"""Compute each output's sigma such that samples count no more than the flights that they are of. (m,)
+
+    What the model leaves out is shared by the samples of a flight: independent, they would leave the design, and the
+    errors of its sensors, far too sure.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of `samples`, in their order.
+    theta : array (n,)
+        Estimate with the sensors' own noise.
+
+    Notes
+    -----
+    With n samples a flight, sd s of the flights' mean residuals and sd r of the samples within:
+
+    .. math:: \sigma^2 \to \sigma^2 + n \, \max(s^2 - r^2 / n, 0)
+    """
+    residual = problem.residual(theta) * problem.sigma
+    names = [f"residual_{j}" for j in range(len(problem.sigma))]
+    rows = samples.select(FLIGHT_PACK).with_columns(pl.Series(n, r) for n, r in zip(names, residual.T, strict=True))
+    flights = rows.group_by(FLIGHT_PACK, maintain_order=True)
+    means, within = flights.agg(pl.col(names).mean()), flights.agg(pl.col(names).var())
+    if means.height < MIN_FLIGHTS:
+        return problem.sigma
+    n_samples = samples.height / means.height
+    between = means.select(pl.col(names).var()).to_numpy()[0]
+    own = within.select(pl.col(names).mean()).to_numpy()[0] / n_samples
+    return np.asarray(np.sqrt(problem.sigma**2 + n_samples * np.maximum(between - own, 0.0)))
 
 
 def design_prior(model: PhysicsModel) -> Belief | None:
@@ -94,6 +134,13 @@ def declared_prior(model: PhysicsModel, names: Sequence[str]) -> Belief | None:
     free = [model.param(name) for name in names]
     sd = [p.sd for p in free if p.sd is not None]
     return Belief(np.array([p.nominal for p in free]), np.diag(np.square(sd))) if len(sd) == len(free) else None
+
+
+def partial_prior(model: PhysicsModel, names: Sequence[str]) -> Belief:
+    """Return the declared prior of some parameters, of infinite variance where one has no standard deviation."""
+    free = [model.param(name) for name in names]
+    sd = np.array([np.inf if p.sd is None else p.sd for p in free])
+    return Belief(np.array([p.nominal for p in free]), np.diag(sd**2))
 
 
 def flight_by_flight(
