@@ -40,7 +40,7 @@ from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK
 from hdt_core.robust import Z_90
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.tracking.component import track_component
-from hdt_core.tracking.component_units import design_offset
+from hdt_core.tracking.sisters import design_offset
 from hdt_core.tracking.track import track
 
 SIZE = FleetSettings(operators=1, tails=1, flights=30, cpl_share=0.0)

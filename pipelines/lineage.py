@@ -37,6 +37,8 @@ class Recipe:
         Kinds of delivered file whose contents count.
     baseline : bool
         Only the commissioning window of the parents counts.
+    sisters : bool
+        Only the level of each pack's first flights in the parents counts, whatever else made them again.
     judged : bool
         Only which flights of the parents are held counts, and each cell of a child depends on its own flights alone.
     settings : tuple of str
@@ -49,6 +51,7 @@ class Recipe:
     n_cell_parents: int = 1
     files: tuple[str, ...] = ()
     baseline: bool = False
+    sisters: bool = False
     judged: bool = False
     settings: tuple[str, ...] = ()
     code: str = "1"
@@ -176,16 +179,21 @@ STAGES = (
     declare_stage(
         "raw_components", "raw", "raw_components", "raw_components_deliveries", "raw_components_quarantine",
         files=("component", "recorder"), code=f"2 {DECLARED}", untracked=("raw_fleet",),
+        label="declared components",
     ),
     declare_stage(
         "calibration_components", "calibration", "legs_components", "calibration_components",
         parents=("raw_components", "raw_maintenance", "raw_reports", HELD),
-        settings=("terms", "design of components"), code=f"4 {DECLARED}",
+        settings=("terms", "design of components"), code=f"5 {DECLARED}",
+    ),
+    declare_stage(
+        "calibration_sisters", "calibration", "calibration_sisters", parents=("calibration_components",), sisters=True,
+        code=f"1 {DECLARED}", label="sister units",
     ),
     declare_stage(
         "twin_health", "twin", "twin_health", "twin_checkpoints", "residuals_components",
-        parents=("twin_flights", "calibration_components", "raw_maintenance"), n_cell_parents=2,
-        settings=("health of components",), code="19",
+        parents=("twin_flights", "calibration_components", "raw_maintenance", "calibration_sisters"), n_cell_parents=2,
+        settings=("health of components",), code="20",
         fresh="twin_health", label="health, features, alerts",
     ),
     declare_stage(  # legs are admitted after the twin, which does not depend on it

@@ -40,6 +40,8 @@ def _expected_versions(ledger: Ledger, table: str, parents: Mapping[str, pl.Data
     code = " ".join((recipe.code, *settings))
     if recipe.files:
         return _file_versions(ledger, grain, recipe)
+    if recipe.sisters:
+        return _with_version(pl.DataFrame({"made_of": [digest(*level_lines(Store(ledger.home)))]}), code)
     if recipe.baseline or recipe.judged:
         lines = baseline_inputs(ledger) if recipe.baseline else map(str, judge_record(ledger).rows())
         return _with_version(pl.DataFrame({"made_of": [digest(*lines)]}), code)
@@ -125,7 +127,8 @@ def _parents(
     In the same transaction the stored cells of the tables `also`, of that grain.
     """
     recipes = [(LINEAGE[table], _DEPTH[TABLES[table].grain]) for table in tables]
-    depths = {parent: depth for recipe, depth in recipes if not recipe.baseline for parent in recipe.parents}
+    by_version = [(recipe, depth) for recipe, depth in recipes if not (recipe.baseline or recipe.sisters)]
+    depths = {parent: depth for recipe, depth in by_version for parent in recipe.parents}
     finer = [parent for parent, depth in depths.items() if _DEPTH[TABLES[parent].grain] > depth]
     stored = ledger.cells_of([*(parent for parent in depths if parent not in finer), *also], finer)
     versions = {parent: _versions_at(stored[parent], depth, parent) for parent, depth in depths.items()}
@@ -192,3 +195,9 @@ def baseline_inputs(ledger: Ledger) -> list[str]:
     records = [baseline_records(store, t, cells) for t in ("raw_messages", "raw_maintenance", "raw_reports")]
     terms = [f"term {name}" for name in accepted_terms(ledger.home)]
     return [line for frame in (cells, *records) for line in sorted(map(str, frame.rows()))] + terms
+
+
+def level_lines(store: Store) -> list[str]:
+    """Return the levels of all packs' first flights as lines to be hashed."""
+    levels = store.scan("calibration_components").filter(pl.col("parameter").str.ends_with("_level")).collect()
+    return sorted(map(str, levels.select(CELL[0], CELL[1], "pack", "component", "value", "sd").rows()))

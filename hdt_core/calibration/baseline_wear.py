@@ -134,19 +134,38 @@ def _clean_units(value: Array, error_var: Array, is_new: Array) -> tuple[float, 
     """
     if not len(value):
         return 0.0, 0.05, float(np.exp(LN_OFFSET_SD))
-    level = float(np.median(value)) + np.linspace(-0.15, 0.25, 81)[None, :, None, None]
+    level = float(np.median(value)) + np.linspace(-0.15, 0.25, 81)
     offset_sd = np.exp(LN_OFFSET_SD + LN_OFFSET_SD_SD * np.linspace(-2.5, 2.5, 21))
     share = np.where(is_new[:, None], IS_NEW, SHARE)
-    var = offset_sd[:, None, None, None] ** 2 + error_var[:, None] + WEAR_VAR
-    likelihood = (share * np.exp(-0.5 * (level - WEAR_MEAN - value[:, None]) ** 2 / var) / np.sqrt(var)).sum(-1)
     prior = -0.5 * ((np.log(offset_sd) - LN_OFFSET_SD) / LN_OFFSET_SD_SD)[:, None] ** 2
-    log = np.log(np.maximum(likelihood, 1e-300)).sum(-1) + prior
+    log = clean_log_likelihood(value, error_var, level, offset_sd, share, WEAR_MEAN, WEAR_VAR).sum(-1) + prior
     weight = np.exp(log - log.max())
     weight /= weight.sum()
-    grid = level.reshape(-1)
-    mean = float((weight.sum(0) * grid).sum())
-    sd = float(np.sqrt((weight.sum(0) * (grid - mean) ** 2).sum()))
+    mean = float((weight.sum(0) * level).sum())
+    sd = float(np.sqrt((weight.sum(0) * (level - mean) ** 2).sum()))
     return mean, sd, float((weight.sum(1) * offset_sd).sum())
+
+
+def clean_log_likelihood(
+    value: Array, error_var: Array, level: Array, offset_sd: Array, share: Array, wear: Array, wear_var: Array
+) -> Array:
+    """Compute the log likelihood of each unit's first flights, its wear integrated out. (s, m, n)
+
+    Parameters
+    ----------
+    value, error_var : array (n,)
+        Ln ratio of a unit's first flights and its variance.
+    level, offset_sd : array (m,), (s,)
+        Clean levels and sds over clean units, every pair of them.
+    share : array (n, c) or (c,)
+        Share of units in each class of wear at entry.
+    wear, wear_var : array (c,)
+        Ln loss of a class, and its variance.
+    """
+    var = offset_sd[:, None, None, None] ** 2 + error_var[:, None] + wear_var
+    short = level[:, None, None] - wear - value[:, None]
+    likelihood = (share * np.exp(-0.5 * short**2 / var) / np.sqrt(var)).sum(-1)
+    return np.asarray(np.log(np.maximum(likelihood, 1e-300)))
 
 
 def audit_drift(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:

@@ -124,6 +124,7 @@ TABLES: dict[str, StoredTable] = {
     "calibration_components": StoredTable(
         twin.CalibrationComponents, "aircraft", ("tail", "pack", "component", "parameter")
     ),
+    "calibration_sisters": StoredTable(twin.CalibrationSisters, "fleet", ("operator", "tail", "pack", "component")),
     "residuals_components": StoredTable(twin.ResidualsComponents, "aircraft", (*_COMPONENT, "signal", "kind")),
     "features_components": StoredTable(twin.FeaturesComponents, "aircraft", _COMPONENT),
 }

@@ -216,6 +216,16 @@ class CalibrationComponents(CalibrationDesign):
     """One design parameter of a declared component, by pack."""
 
 
+class CalibrationSisters(AircraftTable):
+    """Level of a clean unit by a pack's sisters: pack, component. In the unit of the design's parameter `_level`."""
+
+    pack = pack_key()
+    component = component_key()
+    level = number("level of a clean unit, from all packs but this one", nullable=False)
+    level_sd = number("standard deviation of it", low=0, nullable=False)
+    unit_sd = number("spread between units as made", low=0, nullable=False)
+
+
 class ResidualsComponents(Residuals):
     """One signal's residual of a declared component over a flight: flight, pack, signal, kind."""
 

@@ -29,10 +29,15 @@ UNKNOWN_SD = 0.3
 
 
 class DesignOffset(NamedTuple):
-    """Offset of a pack's declared design from the calibrated one, in the units of wear, with its sd."""
+    """Offset of a pack's clean level from the calibrated design, in the units of wear, with its sd.
+
+    The clean level is that of the declared design, or of the pack's sisters; `unit_sd` is the spread between units
+    where these show it.
+    """
 
     shift: float = 0.0
     sd: float = UNKNOWN_SD
+    unit_sd: float | None = None
 
 
 def track_component(
@@ -93,19 +98,25 @@ def _loss(flights: pl.DataFrame, param: Param, component: Component, offset: Des
 
 def wear_settings(component: Component, param: Param, offset: DesignOffset) -> tuple[float, Settings]:
     """Return the component's wear at failure over the exchanger's, and the filter's settings scaled by it."""
-    size = _wear_at_failure(component, param) / _wear_at_failure(HX, HX.model.param(HX.loss))
+    size = wear_size(component, param)
     rate_ratio = HX.life_flights / component.life_flights
     factors = np.array([1.0, rate_ratio, rate_ratio, rate_ratio**1.5, rate_ratio**1.5])
     paces = tuple(Pace(*(factors * pace).tolist()) for pace in PACES)
-    unit_sd = (UNIT_SD if param.unit_sd is None else param.unit_sd) / size
-    walk, entries = param.drift / size or WEAR_STEP, _entries(component.new_share)
+    known_sd = param.unit_sd if offset.unit_sd is None or param.name != component.loss else offset.unit_sd
+    unit_sd = (UNIT_SD if known_sd is None else known_sd) / size
+    walk, entries = param.drift / size or WEAR_STEP, entry_classes(component.new_share)
     washes = WASH_SHARE * (CLEANED in component.ended_by)
     return size, Settings(
         0.0, offset.sd / size, unit_sd, unit_sd, paces, walk, SUDDEN_LOSS, FAULT_CHANCE, washes, OFFSET_BIN, entries
     )
 
 
-def _entries(new_share: float) -> tuple[EntryWear, ...]:
+def wear_size(component: Component, param: Param) -> float:
+    """Return the component's wear at failure over the exchanger's."""
+    return _wear_at_failure(component, param) / _wear_at_failure(HX, HX.model.param(HX.loss))
+
+
+def entry_classes(new_share: float) -> tuple[EntryWear, ...]:
     """Return the exchanger's classes of units at entry with another share of new ones."""
     factor = (1.0 - new_share) / sum(e.share for e in ENTRY if not e.is_new)
     return tuple(e._replace(share=new_share if e.is_new else factor * e.share) for e in ENTRY)

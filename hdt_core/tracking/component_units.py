@@ -2,13 +2,11 @@
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 import polars as pl
 from scipy.stats import median_abs_deviation
 
-from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.component_fit import (
     WITHOUT_ESTIMATE,
     calibrate_component,
@@ -19,21 +17,21 @@ from hdt_core.calibration.component_fit import (
 from hdt_core.components import Component, Reading
 from hdt_core.flight.component_legs import MIN_SAMPLES, NO_EVIDENCE, component_legs, component_samples, lacks_channel
 from hdt_core.flight.legs import reject_odd_bleed
-from hdt_core.physics.model import PhysicsModel, declared
+from hdt_core.physics.model import PhysicsModel
+from hdt_core.physics.sensor_errors import with_sensor_errors
 from hdt_core.records.keys import LEG, PACK, is_among
 from hdt_core.records.unit_index import number_units, select_entries
 from hdt_core.robust import MAD_TO_SD
 from hdt_core.tables.twin import CalibrationComponents, TwinCheckpoints, TwinHealth
-from hdt_core.tracking.component import DesignOffset, track_component, wear_of
+from hdt_core.tracking.component import track_component
 from hdt_core.tracking.loss_filter import TrackResult, health_rows, join_tracks
+from hdt_core.tracking.sisters import FEWEST, CleanLevel, clean_levels, design_offset, first_level, level_name
 
-MOST, FEWEST, SHARE_OF_LIFE = 100, 10, 0.1
+MOST, SHARE_OF_LIFE = 100, 0.1
 """Steady flights of a pack's first unit on which it is taken to be as built: a tenth of its life, within limits."""
 STRAY_SD = 5.0
 """Robust standard deviations from the median at which a commissioning flight is no flight of the part as built, and a
 sample of a reading is a spike."""
-WIDEST = -3.0
-"""Lower bound of a loss judged by the declared design, which may be far smaller than the real one."""
 NEAR_BOUND = 1e-3
 """Share of a loss's span that counts as its bound."""
 ONE_OR_MORE = "one_or_more"
@@ -108,7 +106,10 @@ def _as_built(legs: pl.DataFrame, maintenance: pl.DataFrame, component: Componen
 
 
 def _calibrate_pack(samples: pl.DataFrame, component: Component) -> tuple[pl.DataFrame, list[tuple[object, ...]]]:
-    """Select outlying flights, and calibrate one pack's design as rows; none where the flights do not determine it."""
+    """Select outlying flights, and calibrate one pack's design as rows; none where the flights do not determine it.
+
+    The last row is the level of its first flights, which its sisters are compared with.
+    """
     nothing: tuple[pl.DataFrame, list[tuple[object, ...]]] = samples.select(LEG).clear(), []
     if samples.select(pl.struct(LEG).n_unique()).item() < FEWEST:
         return nothing
@@ -122,12 +123,14 @@ def _calibrate_pack(samples: pl.DataFrame, component: Component) -> tuple[pl.Dat
         return nothing
     made_by = estimate.method or method.name
     n_flights = regular.select(pl.struct(LEG).n_unique()).item()
-    params = zip(component.model.free("design"), estimate.belief.sd.tolist(), strict=True)
+    params = zip(dsm.free("design"), estimate.belief.sd.tolist(), strict=True)
     version = hashlib.blake2b(f"{component.version} {dsm.nominal}".encode(), digest_size=6).hexdigest()
+    level = first_level(regular, dsm, estimate.belief.cov, component)
     return stray, [
-        (p.name, dsm.nominal[p.name], sd, p.unit, n_flights, p.name not in estimate.weak, version, made_by)
-        for p, sd in params
-    ]
+        *((p.name, dsm.nominal[p.name], sd, p.unit, n_flights, p.name not in estimate.weak, version, made_by)
+          for p, sd in params),
+        (level_name(component), *level, "ln", FEWEST, True, version, made_by),
+    ]  # fmt: skip
 
 
 def _health_names(component: Component) -> list[str]:
@@ -161,6 +164,7 @@ def unit_health(
     component: Component,
     previous: TrackResult | None = None,
     seal: str = "",
+    levels: pl.DataFrame | None = None,
 ) -> tuple[pl.DataFrame, TrackResult]:
     """Estimate health of every steady flight of packs that have a design.
 
@@ -172,6 +176,8 @@ def unit_health(
         Of `commission`.
     previous, seal
         As of `track_loss`.
+    levels : DataFrame, optional
+        Of `clean_levels`, over the fleet; of the packs of `design` where not given.
 
     Returns
     -------
@@ -184,12 +190,14 @@ def unit_health(
     health_names, method = _health_names(component), declared_estimator(component)
     flights = [flight_by_flight(samples.clear(), component.model, health_names)]
     tracks = []
+    levels = clean_levels(design, component) if levels is None else levels.filter(component=component.code)
+    level_of = {row[:-3]: CleanLevel(*row[-3:]) for row in levels.select(*PACK, *CleanLevel._fields).rows()}
     for model, rests_on_prior, own in pack_models(steady, design, component):
         estimates = flight_by_flight(own, model, health_names, estimator=method)
         estimates = _reject_beyond_range(estimates, own, component)
         flights.append(estimates)
         if estimates.height:
-            offset = design_offset(own, model, component)
+            offset = design_offset(own, model, component, level_of.get(estimates.select(PACK).row(0)))
             tracks.append(
                 TrackResult(health_by_prior(estimates, offset.sd, component), TwinCheckpoints.create_empty())
                 if rests_on_prior
@@ -203,28 +211,10 @@ def pack_models(
 ) -> Iterator[tuple[PhysicsModel, bool, pl.DataFrame]]:
     """Yield each pack's digital system model by `commission`'s design, whether no flight calibrated it, its samples."""
     for pack, rows in design.filter(component=component.code).group_by(PACK, maintain_order=True):
-        model = component.model.calibrated(dict(rows.select("parameter", "value").rows()))
+        values = dict(rows.filter(pl.col("parameter") != level_name(component)).select("parameter", "value").rows())
+        model = with_sensor_errors(component.model).calibrated(values)
         own = samples.filter(*(pl.col(c) == v for c, v in zip(PACK, pack, strict=True)))
         yield model, bool((rows["n_flights"] == 0).all()), own
-
-
-def design_offset(samples: pl.DataFrame, model: PhysicsModel, component: Component) -> DesignOffset:
-    """Estimate the declared design's offset from a pack's calibrated one by the wear of the first flights with each."""
-    if design_prior(component.model) is None:
-        return DesignOffset()
-    loss, first = component.model.param(component.loss), samples.select(LEG).unique(maintain_order=True).head(FEWEST)
-    wide = replace(loss, bounds=(WIDEST, loss.bounds[1]))
-    first_samples = samples.join(first, on=LEG, how="semi")
-
-    def wear(design: Mapping[str, float]) -> Array:
-        params = tuple(wide if p.name == loss.name else p for p in model.calibrated(design).params)
-        losses = flight_by_flight(first_samples, replace(model, params=params), [loss.name])[loss.name].to_numpy()
-        return wear_of(losses, losses, loss)[0]
-
-    design, usual_wear = model.free("design"), wear({})
-    shifts = [np.median(wear({p.name: min(p.nominal + declared(p.sd), p.bounds[1])}) - usual_wear) for p in design]
-    shift = np.median(wear({p.name: p.nominal for p in component.model.free("design")}) - usual_wear)
-    return DesignOffset(float(shift), float(np.linalg.norm(shifts)))
 
 
 def _reject_beyond_range(flights: pl.DataFrame, samples: pl.DataFrame, component: Component) -> pl.DataFrame:

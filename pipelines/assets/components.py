@@ -117,16 +117,27 @@ def calibration_components(
     return legs, design.with_columns(pl.lit("tail").alias("scope"))
 
 
+@stage
+def calibration_sisters(calibration_components: pl.DataFrame) -> pl.DataFrame:
+    """Pool the designs of sister units: the clean level and spread that each pack's sisters let expect."""
+    levels = []
+    for component in recorded_in(calibration_components):
+        from hdt_core.tracking.sisters import clean_levels
+
+        levels.append(clean_levels(calibration_components, component))
+    return conform_all("calibration_sisters", levels)
+
+
 def track_components(
-    signals: pl.DataFrame, legs: pl.DataFrame, design: pl.DataFrame, maintenance: pl.DataFrame, home: Home,
-    stored: TrackResult, code: str,
+    signals: pl.DataFrame, legs: pl.DataFrame, design: pl.DataFrame, sisters: pl.DataFrame, maintenance: pl.DataFrame,
+    home: Home, stored: TrackResult, code: str,
 ) -> tuple[TrackResult, pl.DataFrame]:  # fmt: skip
     """Track each declared component's health after each flight; also residuals of its sensors, model and twin.
 
     Parameters
     ----------
-    signals, legs, design, maintenance : DataFrame
-        Tables `raw_components`, `legs_components`, `calibration_components` and `raw_maintenance`.
+    signals, legs, design, sisters, maintenance : DataFrame
+        Tables `raw_components`, `legs_components`, `calibration_components`, `calibration_sisters`, `raw_maintenance`.
     home : Home
     stored : TrackResult
         Of the last night.
@@ -139,7 +150,7 @@ def track_components(
 
         samples = component_samples(signals, component)
         inputs = (samples, legs.filter(component=component.code), design, maintenance, component)
-        flights, tracked = unit_health(*inputs, stored, f"{code}|{component.version}")
+        flights, tracked = unit_health(*inputs, stored, f"{code}|{component.version}", sisters)
         tracks.append(tracked)
         readings.append(component_readings(samples, component))
         residuals += _residuals(samples, flights, design, component)

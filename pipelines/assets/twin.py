@@ -53,6 +53,7 @@ def twin_health(
     record_held: pl.DataFrame,
     legs_components: pl.DataFrame,
     calibration_components: pl.DataFrame,
+    calibration_sisters: pl.DataFrame,
 ) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
     """Track the Operational Digital Twin: each component's health after a flight, from that flight and all before it.
 
@@ -60,8 +61,8 @@ def twin_health(
     """
     stored = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
     rows = raw_components.join(unused(record_held), on=FLIGHT, how="anti", maintain_order="left")
-    inputs, code = (rows, legs_components, calibration_components), LINEAGE["twin_health"].code
-    components, residuals = track_components(*inputs, raw_maintenance, home, stored, code)
+    designs, code = (calibration_components, calibration_sisters), LINEAGE["twin_health"].code
+    components, residuals = track_components(rows, legs_components, *designs, raw_maintenance, home, stored, code)
     tracks = [components]
     if twin_flights.height:
         parts = parts_in_service(home, "health")

@@ -212,6 +212,6 @@ def test_a_second_night_takes_in_what_is_new_of_one_aircraft_alone(world):
     compressor_flight("AQ-SOUND", FLIGHTS).write_csv(world["landing"] / "AQX/AQ-SOUND/ng" / f"{late}.csv")
     done = hdt(world, "nightly", "--landing", world["landing"])
     assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"1 new of \d+ files, 2 cells in 2 runs", done.stdout), done.stdout
+    assert re.search(r"1 new of \d+ files, 3 cells in 3 runs", done.stdout), done.stdout
     assert dict(query_rows(world, sql)) == before | {"AQ-SOUND": before["AQ-SOUND"] + 1}
     assert "Nothing new" in hdt(world, "nightly", "--landing", world["landing"]).stdout

@@ -40,7 +40,7 @@ def ledger(tmp_path) -> Ledger:
     ledger = Ledger(tmp_path)
     deliver(ledger, A, "history_2024-05.parquet", ["LX-AAA_20240501_01", "LX-AAA_20240502_01"], "h1", "history")
     deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b1")
-    make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "twin_flights")
+    make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "calibration_sisters", "twin_flights")
     return ledger
 
 
@@ -84,7 +84,7 @@ def test_a_flight_after_commissioning_leaves_the_model_alone(tmp_path):
     ledger = Ledger(tmp_path)
     ids = [f"LX-AAA_2024{m:02d}{d:02d}_{leg:02d}" for m in range(1, 4) for d in range(1, 29) for leg in (1, 2)]
     deliver(ledger, A, "history.parquet", ids[:161], "h", "history")
-    make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "twin_flights", "twin_health")
+    make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "calibration_sisters", "twin_flights", "twin_health")
     deliver(ledger, A, f"{ids[165]}.csv", [ids[165]], "new")
     make(ledger, "raw_flights", "legs_samples")
     assert stale_cells_of(ledger, ["calibration_dsm"]).is_empty()
