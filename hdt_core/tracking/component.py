@@ -89,11 +89,24 @@ def _loss(flights: pl.DataFrame, param: Param, component: Component, offset: Des
     size, settings = wear_settings(component, param, offset)
     estimates = flights.select(pl.when(~pl.col("status").is_in(WITHOUT_ESTIMATE)).then(param.name), f"{param.name}_sd")
     loss, loss_sd = estimates.to_numpy().astype(float).T
-    wear, sd = (x / size for x in wear_of(loss, loss_sd, param))
+    shift, shift_sd = _sensor_shift(flights, loss, param, component)
+    wear, sd = (x / size for x in wear_of(loss - shift, loss_sd, param))
     variance = np.where(np.isfinite(wear), sd**2 + scatter_by_segment(flights, wear, sd**2) ** 2, 1.0)
-    status = pl.when(pl.Series(np.isfinite(wear))).then(pl.lit("ok")).otherwise(pl.lit("predicted"))
+    status = (
+        pl.when(pl.Series(~np.isfinite(wear))).then(pl.lit("predicted"))
+        .when(pl.Series(shift_sd > 0.0)).then(pl.lit("sensor_corrected"))
+        .otherwise(pl.lit("ok"))
+    )  # fmt: skip
     observations = (-wear - offset.shift / size, variance, np.ones_like(wear))
-    return Loss(component, param, size, settings, observations, status)
+    return Loss(component, param, size, settings, observations, status, (shift_sd**2,))
+
+
+def _sensor_shift(flights: pl.DataFrame, loss: Array, param: Param, component: Component) -> tuple[Array, Array]:
+    """Return the part of each flight's loss that shifted sensors feign, and its sd in wear; 0 where none is known."""
+    if param.name != component.loss or "sensor_shift" not in flights.columns:
+        return np.zeros_like(loss), np.zeros_like(loss)
+    shift, shift_sd = flights.select("sensor_shift", "sensor_shift_sd").to_numpy().T
+    return shift, np.nan_to_num(wear_of(loss - shift, shift_sd, param)[1])
 
 
 def wear_settings(component: Component, param: Param, offset: DesignOffset) -> tuple[float, Settings]:

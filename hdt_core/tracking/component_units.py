@@ -14,31 +14,26 @@ from hdt_core.calibration.component_fit import (
     design_prior,
     flight_by_flight,
 )
-from hdt_core.components import Component, Reading
-from hdt_core.flight.component_legs import MIN_SAMPLES, NO_EVIDENCE, component_legs, component_samples, lacks_channel
+from hdt_core.components import Component
+from hdt_core.flight.component_legs import NO_EVIDENCE, component_legs, component_samples
 from hdt_core.flight.legs import reject_odd_bleed
 from hdt_core.physics.model import PhysicsModel
 from hdt_core.physics.sensor_errors import with_sensor_errors
 from hdt_core.records.keys import LEG, PACK, is_among
 from hdt_core.records.unit_index import number_units, select_entries
-from hdt_core.robust import MAD_TO_SD
-from hdt_core.tables.twin import CalibrationComponents, TwinCheckpoints, TwinHealth
+from hdt_core.tables.twin import CalibrationComponents, TwinCheckpoints
 from hdt_core.tracking.component import track_component
+from hdt_core.tracking.component_readings import ONE_OR_MORE, STRAY_SD, component_readings
 from hdt_core.tracking.loss_filter import TrackResult, health_rows, join_tracks
+from hdt_core.tracking.redundancy import sensor_shifts
 from hdt_core.tracking.sisters import FEWEST, CleanLevel, clean_levels, design_offset, first_level, level_name
 
 MOST, SHARE_OF_LIFE = 100, 0.1
 """Steady flights of a pack's first unit on which it is taken to be as built: a tenth of its life, within limits."""
-STRAY_SD = 5.0
-"""Robust standard deviations from the median at which a commissioning flight is no flight of the part as built, and a
-sample of a reading is a spike."""
 NEAR_BOUND = 1e-3
 """Share of a loss's span that counts as its bound."""
-ONE_OR_MORE = "one_or_more"
 PRIOR = "prior"
 """What made the design of a pack that no flight calibrated."""
-BEYOND_SHARE = 0.1
-"""Share of a flight's samples beyond a reading's possible range that sets its status."""
 
 
 def commission(
@@ -196,6 +191,7 @@ def unit_health(
         estimates = flight_by_flight(own, model, health_names, estimator=method)
         estimates = _reject_beyond_range(estimates, own, component)
         flights.append(estimates)
+        estimates = sensor_shifts(estimates, own, model, component)
         if estimates.height:
             offset = design_offset(own, model, component, level_of.get(estimates.select(PACK).row(0)))
             tracks.append(
@@ -248,56 +244,3 @@ def health_by_prior(flights: pl.DataFrame, design_sd: float, component: Componen
         names = (component.code, param.name, param.unit, component.estimator)
         rows.append(health_rows(flights, names, value, value_sd, pl.lit("prior_only")))
     return pl.concat(rows)
-
-
-def component_readings(samples: pl.DataFrame, component: Component) -> pl.DataFrame:
-    """Compute readings of every flight and pack, in the columns of the health parameters.
-
-    Parameters
-    ----------
-    samples : DataFrame
-        Of `component_samples`.
-
-    Returns
-    -------
-    DataFrame
-        `value` the mean, `sd` the scatter of single samples about it, without those far from the median. Status:
-        `measured`; `one_or_more` where a tenth of the samples or more is beyond the possible range; `off_nominal`
-        where the flight has no samples of the reading, `few_samples` fewer than five;
-        `not_recorded`.
-    """
-    frames = [_flights(samples, component, reading) for reading in component.readings]
-    return pl.concat([TwinHealth.create_empty(), *frames])
-
-
-def _flights(samples: pl.DataFrame, component: Component, reading: Reading) -> pl.DataFrame:
-    is_used = pl.lit(True) if reading.where is None else reading.where.fill_null(False)
-    values = pl.col("reading").filter(pl.col("is_used") & pl.col("reading").is_finite())
-    deviation = (values - values.median()).abs()
-    regular = values.filter(deviation <= STRAY_SD * MAD_TO_SD * deviation.median() + 1e-9 * values.median().abs())
-    rows = samples.with_columns(reading.value.cast(pl.Float64).alias("reading"), is_used.alias("is_used"))
-    means = rows.group_by(LEG, maintain_order=True).agg(
-        pl.col("time_utc").min().alias("departed_at"),
-        regular.mean().alias("value"),
-        regular.std().alias("sd"),
-        values.len().alias("n"),
-        (values >= reading.below).mean().alias("beyond"),
-        (lacks_channel(component) | pl.any_horizontal(_absent(component, reading))).alias("lacks"),
-    )
-    status = (
-        pl.when((pl.col("n") == 0) & pl.col("lacks")).then(pl.lit("not_recorded"))
-        .when(pl.col("n") == 0).then(pl.lit("off_nominal"))
-        .when(pl.col("n") < MIN_SAMPLES).then(pl.lit("few_samples"))
-        .when(pl.col("beyond") >= BEYOND_SHARE).then(pl.lit(ONE_OR_MORE))
-        .otherwise(pl.lit("measured"))
-    )  # fmt: skip
-    is_enough = pl.col("n") >= MIN_SAMPLES
-    value, sd = (means.select(pl.when(is_enough).then(c))[:, 0] for c in ("value", "sd"))
-    return health_rows(means, (component.code, reading.name, reading.unit, "reading"), value, sd, status)
-
-
-def _absent(component: Component, reading: Reading) -> list[pl.Expr]:
-    """Flag channels of a reading without any value in a flight."""
-    names = reading.value.meta.root_names()
-    channels = [c.signal for c in component.record.channels if c.signal in names] if component.record else []
-    return [pl.lit(False), *(pl.col(c).is_null().all() for c in channels)]

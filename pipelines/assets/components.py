@@ -15,7 +15,7 @@ from hdt_core.record.exchange import unused
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG
 from hdt_core.tables import TABLES
 from hdt_core.tracking import track
-from hdt_core.tracking.component_units import component_readings
+from hdt_core.tracking.component_readings import component_readings
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from pipelines.assets.raw import account, with_aircraft
 from pipelines.assets.stage import StageResult, stage

@@ -22,7 +22,8 @@ from hdt_core.tracking.component import (
     wear_of,
     wear_settings,
 )
-from hdt_core.tracking.component_units import commission, component_readings, unit_health
+from hdt_core.tracking.component_readings import component_readings
+from hdt_core.tracking.component_units import commission, unit_health
 from hdt_core.tracking.track import lumped_coefficients
 
 VALVE = PhysicsModel(
