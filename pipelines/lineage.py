@@ -219,7 +219,7 @@ STAGES = (
     declare_stage(  # a model is stored with its scored flights, so prognoses come first: a kill between costs only work
         "prognosis", "prognosis", "prognoses", "prognosis_model", "prognosis_lives",
         parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-        code="12", fresh="prognoses",
+        code="13", fresh="prognoses",
     ),
 )  # fmt: skip
 

@@ -9,11 +9,12 @@ from hdt_core.components.cabin_air_compressor import CAC
 from hdt_core.components.declaration import ACTIONS, Channel, Component, Limit, Reading, Record
 from hdt_core.components.pack import CC, HX
 from hdt_core.components.unmetered_exchanger import HXT
+from hdt_core.components.wear_law import LINEAR, RESISTANCE, WearLaw, power_law
 from hdt_core.loading import UserError, load_entry_points
 
 __all__ = [
-    "ACTIONS", "Channel", "Component", "ComponentError", "Limit", "Reading", "Record", "component_rows", "components",
-    "recorded_components",
+    "ACTIONS", "LINEAR", "RESISTANCE", "Channel", "Component", "ComponentError", "Limit", "Reading", "Record",
+    "WearLaw", "component_rows", "components", "power_law", "recorded_components",
 ]  # fmt: skip
 
 GROUP = "hdt.components"

@@ -13,6 +13,7 @@ from typing import Any
 
 import polars as pl
 
+from hdt_core.components.wear_law import WearLaw
 from hdt_core.physics.model import PhysicsModel
 
 CODE = r"[A-Z]{2,8}"
@@ -158,6 +159,9 @@ class Component:
         Whether engine bleed air feeds it: then flights with a bleed off or the cross-feed open are not normal.
     needs : mapping of str to tuple of str
         Columns of the default record without which a parameter can't be estimated; for the pack's parts.
+    wear_law : WearLaw, optional
+        What grows in proportion to flights: `LINEAR` the loss, `RESISTANCE` its resistance, `power_law(p)` its root.
+        Where absent the fleet's lives weigh several.
     """
 
     code: str
@@ -181,6 +185,7 @@ class Component:
     terms: Mapping[str, PhysicsModel] = field(default_factory=dict)
     bleed_air: bool = False
     needs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    wear_law: WearLaw | None = None
 
     def __post_init__(self) -> None:
         for fault in self._faults():

@@ -10,12 +10,13 @@ import numpy as np
 import polars as pl
 from scipy.special import ndtr
 
-from hdt_core.components import Component, Limit
+from hdt_core.components import Component, Limit, WearLaw
 from hdt_core.margin.first_passage import wear_rate
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, events_ahead, quantile
 from hdt_core.prognosis.model import HORIZON, OUT_OF_FOLD
 from hdt_core.prognosis.unit_lives import episodes, life_table
+from hdt_core.prognosis.wear_laws import wear_laws
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Array
 
@@ -60,12 +61,16 @@ def _predict(rows: pl.DataFrame, past: FleetRecord, component: Component) -> pl.
     failures = _failures(past, component)
     # no message then means no failure: the component has one, and the operator delivers messages
     operators = past.messages["operator"].unique().to_list() if component.message_code else []
-    by = _event_by(rows, _limits(rows, failures, component), component, rows["operator"].is_in(operators).to_numpy())
+    alive, limits = rows["operator"].is_in(operators).to_numpy(), _limits(rows, failures, component)
+    laws = wear_laws(component, past.features)
+    by_law = [x.weight * _event_by(rows, limits, component, alive, x.law) for x in laws]
+    by = np.sum(by_law, axis=0)
     values = {name: quantile(by, level) for name, level in QUANTILE_LEVELS.items()}
     values |= events_ahead(by)
     is_known = np.isfinite(by[:, -1])
     columns = [pl.Series(name, np.where(is_known, v, np.nan)).fill_nan(None) for name, v in values.items()]
-    training_data = repr((component.version, sorted(operators), failures.sort("tail", "loss").rows())).encode()
+    weights = [round(x.weight, 6) for x in laws]
+    training_data = repr((component.version, sorted(operators), failures.sort("tail", "loss").rows(), weights)).encode()
     version = f"first-passage-{hashlib.blake2b(training_data, digest_size=4).hexdigest()}"
     return (
         rows.select(*KEYS)
@@ -99,12 +104,18 @@ def first_passage(
     return np.clip(np.maximum.accumulate((p_passed - p_passed_now) / p_alive, axis=1), 0.0, 1.0)
 
 
-def _event_by(rows: pl.DataFrame, limits: tuple[Array, Array], component: Component, alive: Array) -> Array:
+def _event_by(
+    rows: pl.DataFrame, limits: tuple[Array, Array], component: Component, alive: Array, law: WearLaw
+) -> Array:
+    """Compute P(failure within `EDGES` flights) of each row if its loss grows by `law`."""
     loss, sd, slope, n_flights = (rows[c].cast(pl.Float64).to_numpy() for c in LOSS_COLUMNS)
-    usual = component.limit.mean / component.life_flights
+    usual = law.grown(np.array(component.limit.mean)) / component.life_flights
     flights = np.where(np.isnan(slope), 2.0, np.minimum(n_flights + 1.0, 100.0))
-    rate, rate_sd = wear_rate(np.nan_to_num(slope), flights, usual, usual)
-    return first_passage(loss, sd, rate, rate_sd, limits, alive)
+    limit, limit_sd = limits
+    grown, grown_sd = law.grown(loss), 0.5 * (law.grown(loss + sd) - law.grown(loss - sd))
+    gained = grown - law.grown(loss - np.nan_to_num(slope) * flights)
+    rate, rate_sd = wear_rate(gained / flights, flights, float(usual), float(usual))
+    return first_passage(grown, grown_sd, rate, rate_sd, (law.grown(limit), law.slope(limit) * limit_sd), alive)
 
 
 def _limits(rows: pl.DataFrame, failures: pl.DataFrame, component: Component) -> tuple[Array, Array]:

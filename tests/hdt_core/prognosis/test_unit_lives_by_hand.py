@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from benchmarks.prognosis import calibration
-from hdt_core.components import Limit, components
+from hdt_core.components import LINEAR, Limit, components
 from hdt_core.margin.exchanger_demand import CRITICAL
 from hdt_core.margin.margin import MessageRule
 from hdt_core.prognosis.base import draw_fleets, simulated_rows
@@ -145,7 +145,7 @@ def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
     rows = pl.concat([*renewed, described(100, "T-3", 0.12)])
     messages = pl.concat([faults_on((0, HX_CODE), (40, CC_CODE)), faults_on((70, CC_CODE), tail="T-2")])
     entries = pl.concat([log((44, "CC", "REPLACED", "")), log((74, "CC", "REPLACED", ""), tail="T-2")])
-    prognoses = component_prognoses(rows, messages, entries, CC)
+    prognoses = component_prognoses(rows, messages, entries, replace(CC, wear_law=LINEAR))
 
     def want(levels: list[float], loss: float) -> np.ndarray:
         limit = learn_limit(np.array(levels), Limit(0.25, 0.06, 0.05))
