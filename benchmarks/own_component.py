@@ -29,11 +29,11 @@ HISTORIES = (
     "as new", "worn at entry", "washed, logged", "washed, on no log", "replaced, logged", "replaced, on no log",
     "outlet sensor 2.5 K off", "outlet sensor 2.5 K off later",
 )  # fmt: skip
-OF_EACH, FLIGHTS = 3, 250
+OF_EACH, FLIGHTS = 3, 200
 UNIT_SD, BIAS_K = 0.02, 2.5
 FAR_SD, FAR_FLIGHTS = 5.0, 10
 """A unit is far off where its error exceeds so many deviations on so many flights running."""
-DISTANCES = ((0, 10), (10, 25), (25, 50), (50, 100), (100, 250))
+DISTANCES = ((0, 10), (10, 25), (25, 50), (50, 100), (100, 200))
 """Flights since a wash, or since the unit began."""
 DECLARED = {"loss": LINEAR, "resistance": RESISTANCE, "square of the loss": power_law(0.5)}
 """What grows in proportion to flights."""
@@ -251,7 +251,7 @@ def judge_fleets(law: str, fleets: int) -> pl.DataFrame:
     return pl.concat(parts)
 
 
-def main(fleets: int = 34, other_fleets: int = 5) -> Texts:
+def main(fleets: int = 34, other_fleets: int = 4) -> Texts:
     """Judge fleets whose wear is linear in the loss, and fewer of each other law."""
     rows = {law: judge_fleets(law, fleets if law == "loss" else other_fleets) for law in LAWS}
     yield "own component", histories(rows["loss"])
