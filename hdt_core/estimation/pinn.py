@@ -10,6 +10,7 @@ import numpy as np
 
 from hdt_core.estimation.compiled import FIRST_DAMPING
 from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.descent import descend_from_start
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.problem import Array, Observe, Problem, Sample
 
@@ -17,6 +18,7 @@ STILL_COST = 0.02  # of the loss, in squared standard deviations: a step that lo
 STILL_STEPS = 3  # in a row
 TERM_SD = 1.0  # of a missing term's coefficient, in typical changes of the state: as large as the physics itself
 MOST_TERMS = 2  # missing at once
+RESOLVED = 5e-3  # of a state's size: what a net that has enough units leaves of a trajectory
 DOUBT = 1.0 / 3.0  # probability of the less likely: above it the record leaves open whether the physics is complete
 
 
@@ -83,27 +85,48 @@ class PhysicsInformedNet:
         """Train the net, the parameters and the missing terms; return the parameters."""
         if problem.transition is None:
             return settle(problem, problem.origin, 0, method=f"{self.name}, no dynamics")
-        guess = _simulate_states(problem)
-        if not np.isfinite(guess).all():
+        training = self._train_about(problem, problem.origin, self.width)
+        if training is None:
             return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
-        layout = _lay_out(guess, self.width)
-        first = _first_weights(layout, guess, np.random.default_rng(self.seed))
-        n_terms, n = layout.size.size * len(layout.exponents), problem.prior.mean.size
-        vector = np.concatenate([first, np.zeros(n_terms), problem.origin])
-        n_evals, steps, normal = 0, 0, np.eye(vector.size)
-        for rho in self.stages:
-            vector, normal, steps = _train(problem, vector, layout, rho, max_steps=self.max_steps)
-            n_evals += steps * (1 + 2 * (layout.size.size + n))
-        average = _average(vector[-n_terms - n :], _cov_of_last(normal, n_terms + n), n_terms)
+        if not training.is_settled:
+            training = self._train_wider(problem, training)
+        n_terms, n, n_evals = training.n_terms, problem.prior.mean.size, training.n_evals
+        vector, layout = training.vector, training.layout
+        average = _average(vector[-n_terms - n :], _cov_of_last(training.normal, n_terms + n), n_terms)
         mean = np.clip(average.mean, *problem.bounds.T)  # an average of models may leave the declared bounds
         cov = average.cov
-        if steps == self.max_steps:
+        if not training.is_settled:
             return conclude(problem, mean, "max_steps", n_evals, own_objective=True, cov=cov, method=self.name)
         if average.chance_complete >= 1.0 - DOUBT:
             return settle(problem, mean, n_evals, polish=self.polish, cov=cov, method=self.name)
         method = f"{self.name}: {_describe(average, layout.exponents)}"
         outcome: Status = "converged" if average.chance_complete <= DOUBT else "weakly_identifiable"
         return conclude(problem, mean, outcome, n_evals, own_objective=True, cov=cov, method=method)
+
+    def _train_about(self, problem: Problem, theta: Array, width: int, n_evals: int = 0) -> _Training | None:
+        """Train a net of `width` units from the trajectory at `theta` (n,); None where that is not finite."""
+        guess = _simulate_states(problem, theta)
+        if not np.isfinite(guess).all():
+            return None
+        layout = _lay_out(guess, width)
+        first = _first_weights(layout, guess, np.random.default_rng(self.seed))
+        n_terms = layout.size.size * len(layout.exponents)
+        vector = np.concatenate([first, np.zeros(n_terms), theta])
+        steps, normal = 0, np.eye(vector.size)
+        for rho in self.stages:
+            vector, normal, steps = _train(problem, vector, layout, rho, max_steps=self.max_steps)
+            n_evals += steps * (1 + 2 * (layout.size.size + theta.size))
+        return _Training(vector, normal, layout, n_evals, steps < self.max_steps)
+
+    def _train_wider(self, problem: Problem, narrow: _Training) -> _Training:
+        """Train once more where `narrow` has too few units for the trajectory, from that of least squares."""
+        if _resolving_width(_simulate_states(problem, problem.origin), self.width, self.seed) == self.width:
+            return narrow
+        fit = descend_from_start(problem)
+        n_evals = narrow.n_evals + fit.n_evals
+        width = _resolving_width(_simulate_states(problem, fit.theta), self.width, self.seed)
+        wide = self._train_about(problem, fit.theta, width, n_evals) if width > self.width else None
+        return narrow._replace(n_evals=n_evals) if wide is None else wide
 
 
 def _lay_out(guess: Array, width: int) -> _Layout:
@@ -117,6 +140,34 @@ def _lay_out(guess: Array, width: int) -> _Layout:
         width,
         np.array([[product.count(j) for j in range(n_states)] for product in products]),
     )
+
+
+class _Training(NamedTuple):
+    """Trained net, terms and parameters, their J^T J, passes over the record, and whether the last stage settled."""
+
+    vector: Array
+    normal: Array
+    layout: _Layout
+    n_evals: int
+    is_settled: bool
+
+    @property
+    def n_terms(self) -> int:
+        """Number of coefficients of missing terms."""
+        return self.layout.size.size * len(self.layout.exponents)
+
+
+def _resolving_width(guess: Array, width: int, seed: int) -> int:
+    """Double the units until a net fits the states `guess` (k, s) to a share of their size; `width` where none does."""
+    trial = width
+    while trial <= len(guess) and np.isfinite(guess).all():
+        layout = _lay_out(guess, trial)
+        fitted, _ = _states(_first_weights(layout, guess, np.random.default_rng(seed)), layout)
+        error = np.sqrt(np.mean((fitted.T - guess) ** 2, axis=0))
+        if (error <= RESOLVED * layout.size).all():
+            return trial
+        trial *= 2
+    return width
 
 
 class _Average(NamedTuple):
@@ -184,13 +235,13 @@ def _products(states: Array, layout: _Layout) -> tuple[Array, Array]:
     return factors.prod(axis=1), np.stack(slopes, axis=1)
 
 
-def _simulate_states(problem: Problem) -> Array:
-    """Simulate states along the record at the guess, (k, s)."""
+def _simulate_states(problem: Problem, theta: Array) -> Array:
+    """Simulate states along the record at `theta` (n,): (k, s)."""
     assert problem.transition is not None
     states = np.empty((len(problem.measured), problem.start.mean.size))
     states[0] = problem.start.mean
     for i in range(len(states) - 1):
-        states[i + 1] = problem.transition(states[i], problem.origin, i)
+        states[i + 1] = problem.transition(states[i], theta, i)
     return states
 
 

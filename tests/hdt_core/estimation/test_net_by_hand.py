@@ -21,6 +21,7 @@ from hdt_core.estimation.pinn import (
     _Layout,
     _loss,
     _products,
+    _resolving_width,
     _states,
     _train,
     _with_slopes,
@@ -268,3 +269,10 @@ def test_a_record_that_leaves_the_physics_open_is_weakly_identifiable(
     np.testing.assert_array_equal(estimate.belief.mean, average.mean)
     if names_a_term:  # elsewhere residuals larger than sigma widen it
         np.testing.assert_array_equal(estimate.belief.cov, average.cov)
+
+
+@pytest.mark.parametrize(("periods", "width"), [(1, 30), (6, 60), (90, 30)])
+def test_units_double_until_they_fit_the_trajectory(periods, width):
+    swing = np.sin(2.0 * np.pi * periods * np.linspace(0.0, 1.0, 200))[:, None]
+
+    assert _resolving_width(swing, 30, seed=0) == width

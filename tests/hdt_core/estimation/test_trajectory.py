@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from hdt_core.estimation import NonlinearLeastSquares, unknown
+from hdt_core.estimation import NonlinearLeastSquares, PhysicsInformedNet, unknown
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.physics.lumped_exchanger import rates_k_s
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
@@ -135,6 +135,15 @@ def test_column_without_rates_is_nan_alone(compiled):
 @EACH_FORM
 def test_least_squares_finds_the_damping(compiled):
     estimate = NonlinearLeastSquares().estimate(oscillator(compiled=compiled))
+
+    assert estimate.status == "converged"
+    assert abs(estimate.belief.mean[0] - 1.7) < 4.0 * estimate.belief.sd[0]
+
+
+def test_net_converges_on_a_relaxing_oscillator():
+    problem = oscillator()
+
+    estimate = PhysicsInformedNet().estimate(problem)
 
     assert estimate.status == "converged"
     assert abs(estimate.belief.mean[0] - 1.7) < 4.0 * estimate.belief.sd[0]
