@@ -69,8 +69,7 @@ def calibrate_component(
     Returns
     -------
     PhysicsModel, Estimate
-        The digital system model: the same declaration with the estimates as its nominal values, the declared errors of
-        its sensors among them (`physics.sensor_errors`); and the estimate. Its
+        The digital system model: the same declaration with the estimates as its nominal values; and the estimate. Its
         status is `weakly_identifiable` where the nominal samples leave a design parameter open, which `Estimate.weak`
         names: health at other flows or temperatures than theirs then rests on a guess.
 
@@ -79,14 +78,45 @@ def calibrate_component(
     ValueError
         The samples do not determine the design, or the estimate is not finite.
     """
-    model = with_sensor_errors(model)
+    free = [p.name for p in model.free("design")]
+    problem = samples_problem(samples, model, free, recorded_outputs(model, samples), declared_prior(model, free))
+    return _calibrated(model, samples, (estimator or NonlinearLeastSquares()).estimate(problem))
+
+
+def calibrate_with_sensors(
+    model: PhysicsModel, samples: pl.DataFrame, estimator: Estimator | None = None
+) -> tuple[PhysicsModel, Estimate]:
+    """Estimate the `design` parameters as `calibrate_component`, with the declared errors of the sensors.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        `FLIGHT_PACK` and columns named as the model's inputs and outputs.
+
+    Returns
+    -------
+    PhysicsModel, Estimate
+        Of `physics.sensor_errors.with_sensor_errors`; each declared standard deviation counts as prior, and samples of
+        a flight share what the model leaves out.
+
+    Raises
+    ------
+    ValueError
+        As of `calibrate_component`.
+    """
+    model, method = with_sensor_errors(model), estimator or NonlinearLeastSquares()
     free = [p.name for p in model.free("design")]
     problem = samples_problem(samples, model, free, recorded_outputs(model, samples), partial_prior(model, free))
-    method = estimator or NonlinearLeastSquares()
     estimate = method.estimate(problem)
-    if set(FLIGHT_PACK) <= set(samples.columns) and estimate.status not in WITHOUT_ESTIMATE:
+    if estimate.status not in WITHOUT_ESTIMATE:
         sigma = sigma_with_flights(problem, estimate.belief.mean, samples)
         estimate = method.estimate(replace(problem, sigma=sigma))
+    return _calibrated(model, samples, estimate)
+
+
+def _calibrated(model: PhysicsModel, samples: pl.DataFrame, estimate: Estimate) -> tuple[PhysicsModel, Estimate]:
+    """Return the model with the estimated design; raise where there is none."""
+    free = [p.name for p in model.free("design")]
     if estimate.status in WITHOUT_ESTIMATE:
         raise ValueError(f"{model.name}: {', '.join(free)} from {samples.height} nominal samples: {estimate.status}")
     return model.calibrated(dict(zip(free, map(float, estimate.belief.mean), strict=True))), estimate

@@ -9,7 +9,7 @@ from scipy.stats import median_abs_deviation
 
 from hdt_core.calibration.component_fit import (
     WITHOUT_ESTIMATE,
-    calibrate_component,
+    calibrate_with_sensors,
     declared_estimator,
     design_prior,
     flight_by_flight,
@@ -110,10 +110,10 @@ def _calibrate_pack(samples: pl.DataFrame, component: Component) -> tuple[pl.Dat
         return nothing
     method = declared_estimator(component)
     try:
-        first, _ = calibrate_component(component.model, samples, method)
+        first, _ = calibrate_with_sensors(component.model, samples, method)
         stray = _strays(flight_by_flight(samples, first, _health_names(component), estimator=method), component.loss)
         regular = samples.filter(~is_among(stray))
-        dsm, estimate = calibrate_component(component.model, regular, method)
+        dsm, estimate = calibrate_with_sensors(component.model, regular, method)
     except ValueError:  # the flights do not determine the design: NOT_COMMISSIONED
         return nothing
     made_by = estimate.method or method.name

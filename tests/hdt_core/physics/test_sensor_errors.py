@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.calibration.component_fit import calibrate_component
+from hdt_core.calibration.component_fit import calibrate_with_sensors
 from hdt_core.estimation import estimators
 from hdt_core.physics.model import Param, PhysicsModel, Signal
 from hdt_core.physics.sensor_errors import with_sensor_errors
@@ -56,7 +56,7 @@ def record(bias_k: float, flight_sd_k: float = 0.0) -> pl.DataFrame:
 @pytest.mark.parametrize("method", ["nls", "pso", "ekf", "ukf", "pinn"])
 def test_every_estimator_knows_the_declared_errors(method):
     """A probe that reads 1 K high would make a gain of 2 one of 2.1, sixty times the samples' own deviation."""
-    _, estimate = calibrate_component(DUCT, record(bias_k=1.0), estimators()[method])
+    _, estimate = calibrate_with_sensors(DUCT, record(bias_k=1.0), estimators()[method])
 
     gain, sd = estimate.belief.mean[0], estimate.belief.sd[0]
     assert abs(gain - 2.0) < 2.0 * sd < 0.3
@@ -65,6 +65,6 @@ def test_every_estimator_knows_the_declared_errors(method):
 def test_samples_of_a_flight_share_its_error():
     exact = replace(DUCT, inputs=(Signal("in_k", "K"),), outputs=(Signal("out_k", "K", sigma=0.5), DUCT.outputs[1]))
 
-    sds = [calibrate_component(exact, record(0.0, own_k))[1].belief.sd[0] for own_k in (0.0, 1.0)]
+    sds = [calibrate_with_sensors(exact, record(0.0, own_k))[1].belief.sd[0] for own_k in (0.0, 1.0)]
 
     assert sds[1] / sds[0] == pytest.approx((1.0 + 10.0 * 1.0**2 / 0.5**2) ** 0.5, rel=0.3)
