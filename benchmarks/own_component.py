@@ -210,7 +210,7 @@ def distances(rows: pl.DataFrame) -> str:
         for low, high in DISTANCES:
             at = kind.filter(pl.col("since").is_between(low, high, closed="left"), _is_after_work(prefix))
             life_covered, bias = at.select(**_lives()).row(0)
-            cells.append(f"{bias:+.0f}, {life_covered:.2f}")
+            cells.append(f"{bias:+.0f}, {life_covered:.2f}" if at.height else "-")
         lines.append([name, *cells])
     return markdown(lines)
 
