@@ -4,7 +4,7 @@ The truth of others is in `health.parquet` and `events.parquet`, in the columns 
 """
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -32,8 +32,10 @@ from pipelines.storage.store import Store
 
 Frames = dict[str, pl.DataFrame]
 
-HOT_DAY_K, HELD_LOSS = 12.0, 0.3
-"""A type is flown only if it holds its temperature on a day so much hotter than its operators' mean, this much worn."""
+HOT_DAY_K = 12.0
+"""A hot day's temperature above its operator's mean."""
+RESERVE_CLASSES = {"ample reserve": 0.4, "middle reserve": 0.3, "little reserve": 0.0}
+"""Classes of types, each with the least loss at which a hot day draws the message. [-]"""
 
 
 def recorded_in_si(snapshots: pl.DataFrame, operator: str, tail: str) -> pl.DataFrame:
@@ -89,27 +91,21 @@ def fly(seed: int, settings: FleetSettings) -> Frames:
     return outputs | {"events": all_of["events"], "truth": all_of["health"], "lives": lives}
 
 
-def flown(first_seed: int, count: int, settings: FleetSettings) -> Iterator[Frames]:
-    """Fleets of the first `count` soundly sized seeds; tails and flights carry the seed in their names."""
-    for seed in sound_seeds(first_seed, count):
+def flown(seeds: Iterable[int], settings: FleetSettings) -> Iterator[Frames]:
+    """Fleets of the seeds, a type each; tails and flights carry the seed in their names."""
+    for seed in seeds:
         yield {name: _named(frame, seed) for name, frame in fly(seed, settings).items()}
 
 
-def sound_seeds(first_seed: int, count: int) -> list[int]:
-    """Seeds whose packs, worn to `HELD_LOSS`, still hold their temperature on every operator's hot day.
+def reserve_class(seed: int) -> str:
+    """Name the class of a simulated type by its operator with the least reserve.
 
-    The simulator draws its designs without asking whether anyone would have certified them; a type whose sound packs
-    raise the message on a hot day says nothing about foresight. Design alone decides, never what was estimated.
+    Design and climate decide, never what was estimated.
     """
-    seeds: list[int] = []
-    seed = first_seed
-    while len(seeds) < count:
-        rng = np.random.default_rng(seed)
-        design, operators = draw_design(rng), draw_operators(rng, FleetSettings())
-        if min(loss_at_message(design, o.warmer_k + HOT_DAY_K) for o in operators) > HELD_LOSS:
-            seeds.append(seed)
-        seed += 1
-    return seeds
+    rng = np.random.default_rng(seed)
+    design = draw_design(rng)
+    losses = [loss_at_message(design, o.warmer_k + HOT_DAY_K) for o in draw_operators(rng, FleetSettings())]
+    return next(name for name, least in RESERVE_CLASSES.items() if min(losses) >= least)
 
 
 def loss_at_message(design: PackDesign, warmer_k: float) -> float:

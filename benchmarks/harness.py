@@ -6,9 +6,10 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from inspect import Parameter, signature
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, get_origin
 
 from hdt_benchmark import timing
@@ -18,6 +19,8 @@ Texts = Iterator[tuple[str, str]]
 """Marks of a page and what stands there."""
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "benchmark.md"
+README = DOCS.parent / "README.md"
+EMPTY: Mapping[str, Path] = MappingProxyType({})
 
 
 def arguments(doc: str | None) -> argparse.ArgumentParser:
@@ -30,11 +33,11 @@ def add_write(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--write", action="store_true", help="put what is found into its page of docs/")
 
 
-def run(*mains: Callable[..., Texts], page: Path = PAGE) -> None:
+def run(*mains: Callable[..., Texts], page: Path = PAGE, elsewhere: Mapping[str, Path] = EMPTY) -> None:
     """Run a benchmark from the command line: the parameters of `main` are options, its results marks and texts.
 
     Of several mains the first word names one. A tuple takes several values. Each text is shown as it comes and, with
-    `--write` and a mark, put into the page.
+    `--write` and a mark, put into the page; marks `elsewhere` stand in pages of their own.
     """
     parser = arguments(sys.modules[mains[0].__module__].__doc__)
     verbs = parser.add_subparsers(required=True) if len(mains) > 1 else None
@@ -48,7 +51,7 @@ def run(*mains: Callable[..., Texts], page: Path = PAGE) -> None:
     main, write = options.pop("main"), options.pop("write")
     written_by = f"\n\n{origin()}" if write else ""
     for mark, text in main(**options):
-        show(mark, f"{text}{written_by}", page, write=write)
+        show(mark, f"{text}{written_by}", elsewhere.get(mark, page), write=write)
 
 
 def origin() -> str:

@@ -20,11 +20,15 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from benchmarks.alerts import by_component, confusion, curves, tally, together
-from benchmarks.fleets import Frames, flown
-from benchmarks.harness import DOCS, Texts, markdown, run
+from benchmarks import by_reserve, price
+from benchmarks.alerts import COMPONENTS, by_component, confusion, curves, figures_of, tally, together
+from benchmarks.by_reserve import TypeRecord
+from benchmarks.first_screen import first_screen
+from benchmarks.fleets import Frames, flown, reserve_class
+from benchmarks.harness import DOCS, README, Texts, markdown, run
 from benchmarks.held_out import SETS, Learner, extrapolated, lead_at_budget, rows_of
 from benchmarks.held_out import together as pooled
+from benchmarks.price import prices, with_signals
 from hdt_core.prognosis.base import simulated_rows
 from hdt_core.prognosis.feature_rows import INPUTS, PRIOR_RULES, Tracks, fleet_rows, tracks, tracks_as_of
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
@@ -186,18 +190,30 @@ SEED, FLEETS = 7, 20
 
 
 def main(
-    fleets: int = 8, draws: int = 200, flights: int = SIZE.flights, tails: int = SIZE.tails, taught_by: int = FLEETS
+    fleets: int = 12, draws: int = 200, flights: int = SIZE.flights, tails: int = SIZE.tails, taught_by: int = FLEETS
 ) -> Texts:
     """So many fleets that score, and as many that teach the ablation; bootstrap draws; flights of an aircraft, aircraft
     of an operator; fleets of simulated lives that teach the logistic hazard."""
     size_of_fleet = replace(SIZE, flights=flights, tails=tails)
-    scored = list(flown(SCORED, fleets, size_of_fleet))
-    counted = together([tally(f) for f in scored])
-    forecasts_of = {c: _pooled([forecasts(f, c, taught_by) for f in scored]) for c in ("HX", "CC")}
+    seeds = range(SCORED, SCORED + fleets)
+    scored = list(flown(seeds, size_of_fleet))
+    tallies = [tally(f) for f in scored]
+    counted = together(tallies)
+    forecasts_by = {c: [forecasts(f, c, taught_by) for f in scored] for c in ("HX", "CC")}
+    forecasts_of = {c: _pooled(parts) for c, parts in forecasts_by.items()}
     for same in ("base alone", "physics alone"):  # a compressor's product is the first passage of its base
         del forecasts_of["CC"][same]
-    size = f"{fleets} fleets, {counted.flights:,} flights of two packs."
+    of_exchangers = [forecast[CONTESTANTS[0]] for forecast in forecasts_by["HX"]]
+    reserves = [reserve_class(seed) for seed in seeds]
+    types = [TypeRecord(*parts) for parts in zip(reserves, tallies, of_exchangers, strict=True)]
+    with_features = zip(of_exchangers, scored, reserves, strict=True)
+    priced = prices([with_signals(rows, f["features"], reserve) for rows, f, reserve in with_features])
+    figures = {c: {name: life_figures(frame) for name, frame in own.items()} for c, own in forecasts_of.items()}
+    yield "first screen", first_screen({c: figures_of(counted, c) for c in COMPONENTS}, figures, priced)
+    size = f"{fleets} types, a fleet each, {counted.flights:,} flights of two packs."
     yield "alerts", f"{size}\n\n{by_component(counted)}"
+    yield "by reserve", by_reserve.table(types)
+    yield "price", price.table(priced)
     yield "curves", curves(scored)
     yield "confusion", confusion(scored)
     for component, own in forecasts_of.items():
@@ -206,7 +222,8 @@ def main(
         yield f"precision {component}", precision_recall(own)
         yield f"calibration {component}", calibrated(own[CONTESTANTS[0]])
     yield "learning HX", learning_curve(forecasts_of["HX"])
-    yield "ablation", ablation(list(flown(TAUGHT, fleets, size_of_fleet)), scored)
+    taught = flown(range(TAUGHT, TAUGHT + fleets), size_of_fleet)
+    yield "ablation", ablation(list(taught), scored)
 
 
 def _pooled(parts: list[dict[str, pl.DataFrame]]) -> dict[str, pl.DataFrame]:
@@ -313,4 +330,4 @@ def _prognoses(track: Tracks, by: Array, component: str) -> pl.DataFrame:
 
 
 if __name__ == "__main__":
-    run(main, page=PAGE)
+    run(main, page=PAGE, elsewhere={"first screen": README})

@@ -7,6 +7,7 @@ from scipy.special import ndtr
 from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, REPAIR, WEAR_LIMIT, Case, Grid, Limits, fact_after, runs
 from hdt_core.components.pack import CC, HX
 from hdt_core.health.detection import Cusum, lingering, persistent, since, watch
+from hdt_core.records.unit_index import NEW_UNIT
 from hdt_core.robust import Array
 
 SETTLED_FLIGHTS = 5
@@ -127,8 +128,9 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
     """Find packs whose message is to be expected within 300 flights though their loss is below its limit.
 
     On a type with little reserve, or in a hot season, a hardly worn exchanger leaves its level with the ram door full
-    open; a new exchanger does not help there. Packs without `hx_passage_300` have no case. `doubtful` (units, flights):
-    a door or the outlet is in doubt.
+    open; a new exchanger does not help there. That is reported once for a unit, not each hot week and after each wash:
+    again where it has worn since. Packs without `hx_passage_300` have no case. `doubtful` (units, flights): a door or
+    the outlet is in doubt.
     """
     restart = grid.worked_on(maintenance, ("HX",), HX.ended_by)
     soon, loss = np.nan_to_num(grid.values("hx_passage_300")), grid.values("hx_fouling")
@@ -137,10 +139,20 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
     low = persistent(
         sure, *limits.margin_persistence, keep=soon > limits.passage_keep * limits.passage, restart=restart
     )
-    cases = []
+    replaced = grid.worked_on(maintenance, ("HX",), NEW_UNIT)
+    cases: list[Case] = []
+    last_reported: dict[int, int] = {}
     for unit, first, end in runs(low, restart):
         if loss[unit, first] > limits.fouling:
             continue  # explained by wear, which has its own case
+        if loss[unit, first] < BEYOND_DOUBT:
+            last = last_reported.get(unit)
+            last_reported[unit] = first
+            if last is not None and not replaced[unit, last + 1 : first + 1].any():
+                worn = np.flatnonzero(loss[unit, first:end] >= BEYOND_DOUBT)
+                if not worn.size:
+                    continue
+                first += int(worn[0])
         facts = {name: float(grid.track(name, unit)[first]) for name in MARGIN_FACTS}
         facts["since"] = _last_start(soon[unit, : first + 1] > limits.passage)
         cases.append(Case(unit, "HX", "HX_LOW_MARGIN", first, end, facts))

@@ -75,6 +75,37 @@ def test_it_ends_with_the_unit():
     assert cases["raised_at"].to_list()[1] - cases["closed_at"][0] <= timedelta(hours=8 * 7)
 
 
+def two_hot_weeks(later_loss: float = 0.04) -> pl.DataFrame:
+    """A hardly worn exchanger with little margin on flights 10 to 29 and from 60 on, of `later_loss` from 70 on."""
+    flights = fleet(0.97, 0.04, flights=100)
+    index = pl.int_range(pl.len())
+    loss = pl.when(index >= 70).then(later_loss).otherwise("hx_fouling")
+    soon = pl.when(index.is_between(30, 59)).then(0.0).otherwise("hx_passage_300")
+    return flights.with_columns(hx_fouling=loss, hx_fouling_flight=loss, hx_passage_300=soon)
+
+
+def between(flights: pl.DataFrame, action: str) -> pl.DataFrame:
+    done = flights["departed_at"][45].date()
+    return pl.DataFrame([("XXX", "LX-T01", 1, done, "HX", action)], schema=LOG.schema, orient="row")
+
+
+@pytest.mark.parametrize(("action", "n_cases"), [("INSPECTED", 1), ("CLEANED", 1), ("REPLACED", 2)])
+def test_low_margin_by_design_is_reported_once(action, n_cases):
+    flights = two_hot_weeks()
+
+    cases = raise_alerts(flights, between(flights, action))
+
+    assert hx(cases) == ["HX_LOW_MARGIN"] * n_cases
+
+
+def test_low_margin_is_reported_again_once_worn():
+    flights = two_hot_weeks(later_loss=0.08)
+
+    cases = raise_alerts(flights, between(flights, "CLEANED"))
+
+    assert cases["raised_at"].to_list()[1:] == [flights["departed_at"][70]]
+
+
 UNIT = components()["HXT"]
 WARN, FAILS = UNIT.warn_loss, UNIT.limit.mean
 FLIGHT = np.arange(FLIGHTS)
