@@ -19,10 +19,10 @@ class WeighedLaw(NamedTuple):
 
 
 UNDECLARED = (
-    WeighedLaw(LINEAR, 0.4),
-    WeighedLaw(RESISTANCE, 0.3),
-    WeighedLaw(power_law(0.5), 0.15),
-    WeighedLaw(power_law(2.0), 0.15),
+    WeighedLaw(LINEAR, 0.5),
+    WeighedLaw(RESISTANCE, 0.2),
+    WeighedLaw(power_law(0.5), 0.1),
+    WeighedLaw(power_law(2.0), 0.2),
 )
 """Laws where none is declared, before any life."""
 EVERY_FLIGHTS, LEAST_FLIGHTS, LEAST_GAIN = 10, 60, 0.08
