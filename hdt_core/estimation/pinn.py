@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdt_core.estimation.compiled import FIRST_DAMPING
-from hdt_core.estimation.conclude import conclude, settle
+from hdt_core.estimation.conclude import conclude, noise_of, settle
 from hdt_core.estimation.descent import descend_from_start
 from hdt_core.estimation.estimate import Estimate, Status
 from hdt_core.estimation.problem import Array, Observe, Problem, Sample
@@ -97,7 +97,8 @@ class PhysicsInformedNet:
         cov = average.cov
         if not training.is_settled:
             return conclude(problem, mean, "max_steps", n_evals, own_objective=True, cov=cov, method=self.name)
-        if average.chance_complete >= 1.0 - DOUBT:
+        is_complete = average.chance_complete >= 1.0 - DOUBT
+        if is_complete or (layout.width > self.width and _explains_record(problem)):
             return settle(problem, mean, n_evals, polish=self.polish, cov=cov, method=self.name)
         method = f"{self.name}: {_describe(average, layout.exponents)}"
         outcome: Status = "converged" if average.chance_complete <= DOUBT else "weakly_identifiable"
@@ -127,6 +128,14 @@ class PhysicsInformedNet:
         width = _resolving_width(_simulate_states(problem, fit.theta), self.width, self.seed)
         wide = self._train_about(problem, fit.theta, width, n_evals) if width > self.width else None
         return narrow._replace(n_evals=n_evals) if wide is None else wide
+
+
+def _explains_record(problem: Problem) -> bool:
+    """Check whether least squares on the declared equations leaves no more than the declared noise.
+
+    Then no term is missing: what a net leaves of a trajectory that thirty units do not follow may look like one.
+    """
+    return noise_of(problem, descend_from_start(problem)) == 1.0
 
 
 def _lay_out(guess: Array, width: int) -> _Layout:
