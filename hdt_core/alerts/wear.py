@@ -142,17 +142,18 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
     replaced = grid.worked_on(maintenance, ("HX",), NEW_UNIT)
     cases: list[Case] = []
     last_reported: dict[int, int] = {}
-    for unit, first, end in runs(low, restart):
-        if loss[unit, first] > limits.fouling:
+    for unit, start, end in runs(low, restart):
+        if loss[unit, start] > limits.fouling:
             continue  # explained by wear, which has its own case
-        if loss[unit, first] < BEYOND_DOUBT:
+        first = start
+        if loss[unit, start] < BEYOND_DOUBT:
             last = last_reported.get(unit)
-            last_reported[unit] = first
-            if last is not None and not replaced[unit, last + 1 : first + 1].any():
-                worn = np.flatnonzero(loss[unit, first:end] >= BEYOND_DOUBT)
+            last_reported[unit] = start
+            if last is not None and not replaced[unit, last + 1 : start + 1].any():
+                worn = start + np.flatnonzero(loss[unit, start:end] >= BEYOND_DOUBT)
                 if not worn.size:
                     continue
-                first += int(worn[0])
+                first = int(worn[0])
         facts = {name: float(grid.track(name, unit)[first]) for name in MARGIN_FACTS}
         facts["since"] = _last_start(soon[unit, : first + 1] > limits.passage)
         cases.append(Case(unit, "HX", "HX_LOW_MARGIN", first, end, facts))
