@@ -51,6 +51,10 @@ def _short(text: str, *, is_met: bool, word: str = "short") -> str:
     return text if is_met else f"{text}: **{word}**"
 
 
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
 def _alerted(figures: Figures) -> str:
     failures, share, lead = figures["failures"], figures["alerted"], figures["lead or delay, median"]
     ahead = "" if np.isnan(figures["message within 200"]) else f", {lead:.0f} flights ahead"
@@ -58,7 +62,7 @@ def _alerted(figures: Figures) -> str:
 
 
 def _followed(figures: Figures) -> str:
-    return f"{figures['in 1,000 flights']:.1f}; {figures['right within 200']:.0%}"
+    return f"{figures['in 1,000 flights']:.1f}; {_percent(figures['right within 200'])}"
 
 
 def _without_cause(figures: Figures) -> str:
@@ -78,7 +82,7 @@ def _interval(figures: Figures) -> str:
     low, high = COVERAGE_GOAL
     share = figures["coverage"]
     word = "wide" if share > high else "narrow"
-    return f"{_short(f'{share:.0%}', is_met=low <= share <= high, word=word)} ({figures['width']:.0f} flights)"
+    return f"{_short(f'{_percent(share)}', is_met=low <= share <= high, word=word)} ({figures['width']:.0f} flights)"
 
 
 def _score(figures: Figures) -> str:
@@ -94,12 +98,12 @@ def _within_50(figures: Figures) -> str:
 def _paid(priced: dict[str, dict[str, Price]]) -> str:
     costs = {name: groups[ALL] for name, groups in priced.items()}
     each = "; ".join(
-        f"by the {name} {cost.avoided:.0%}, {cost.given_up_flights:.0f} flights, {cost.unneeded:.2f}"
+        f"by the {name} {_percent(cost.avoided)}, {cost.given_up_flights:.0f} flights, {cost.unneeded:.2f}"
         for name, cost in costs.items()
     )
     return (
-        "What it costs to avoid messages by renewing exchangers beforehand, with limits chosen on earlier months "
-        f"(messages avoided, flights of life given up in the median, unneeded renewals for each avoided): {each}."
+        "The price of messages avoided by renewing exchangers beforehand, with limits chosen on earlier months (share "
+        f"avoided, flights of life given up in the median, unneeded renewals for each avoided): {each}."
     )
 
 
