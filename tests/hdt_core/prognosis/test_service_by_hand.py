@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.components import components
+from hdt_core.components import LINEAR, components
 from hdt_core.margin.first_passage import wear_rate
 from hdt_core.margin.margin import LN_RATIO_PER_K
 from hdt_core.prognosis import base as base_module
@@ -267,4 +267,4 @@ def test_a_units_own_trend_counts_by_the_flights_it_was_seen_over(slope, n_seen,
     usual = part.limit.mean / part.life_flights
     rate = wear_rate(np.array([slope or 0.0]), np.array([flights]), usual, usual)
     want = first_passage(np.array([0.1]), np.array([0.01]), *rate, limit, np.array([True]))
-    np.testing.assert_allclose(_event_by(rows, limit, part, np.array([True])), want)
+    np.testing.assert_allclose(_event_by(rows, limit, part, np.array([True]), LINEAR), want)
