@@ -161,7 +161,7 @@ STAGES = (
         "calibration", "calibration",
         "calibration_dsm", "calibration_design", "calibration_schedules", "calibration_window",
         parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"), baseline=True,
-        settings=("design of packs",), code="18", label="digital system model",
+        settings=("design of packs",), code="19", label="digital system model",
     ),
     declare_stage(
         "twin_flights", "twin", "twin_flights", parents=("legs_samples", "calibration_dsm"),

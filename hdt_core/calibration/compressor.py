@@ -37,6 +37,9 @@ MIN_POINTS = 30
 ENTRY_WEAR, ENTRY_WEAR_SD_LN, ENTRY_UNIT_SD = 0.003, 1.5, 0.02
 """Mean ln loss of diameter of a fleet's compressors at entry, how well it is known, and the sd over units, sensors
 included. Assumed, not recorded; efficiency loses twice as much."""
+FAULTY_ABOVE = 0.1
+"""Ln above the fleet's middle from which a level is that of a faulty sensor: five of `ENTRY_UNIT_SD`. No machine is
+built so much better than its sisters."""
 SCORES, LN_ABOVE = np.linspace(-2.5, 2.5, 31), np.linspace(-0.1, 0.25, 351)
 PROBE_SD_LN = 0.003
 """Calibration error of an efficiency, which no number of flights takes out of one pack."""
@@ -229,9 +232,11 @@ def _group_slope(samples: pl.DataFrame) -> tuple[float, float]:
 def _as_built(levels: Array, wear: float) -> tuple[float, float]:
     """Estimate the level as built from machines a little worn, and its standard error.
 
-    Wear at entry is exponential; its mean, about `wear`, is integrated over, for a fleet shows it by its spread.
+    Wear at entry is exponential; its mean, about `wear`, is integrated over, for a fleet shows it by its spread. Levels
+    of faulty sensors do not count: one alone would make the whole fleet worn.
     """
     ln_levels = np.log(levels)
+    ln_levels = ln_levels[ln_levels - np.median(ln_levels) < FAULTY_ABOVE]
     level = float(np.median(ln_levels)) + LN_ABOVE
     loss_sds = (level[:, None] - ln_levels) / ENTRY_UNIT_SD
     rate = ENTRY_UNIT_SD / (wear * np.exp(ENTRY_WEAR_SD_LN * SCORES))[:, None, None]

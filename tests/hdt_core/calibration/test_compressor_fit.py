@@ -12,7 +12,9 @@ from hdt_core.calibration.arrays import Points, cruise_samples, flights_of, leve
 from hdt_core.calibration.component_fit import flight_by_flight
 from hdt_core.calibration.compressor import (
     BLADE_ANGLE_RAD,
+    ENTRY_WEAR,
     HUB_RATIO,
+    _as_built,
     compressor_samples,
     fit_compressor,
     inlet_geometry,
@@ -210,3 +212,12 @@ def test_panel_as_declared(fleet, n_known, effect):
     np.testing.assert_allclose(panel.prior_terms(hx.MEAN), (flow - np.log(1.5)) / 0.15)
     np.testing.assert_array_equal(panel.prior.sd, hx.SD)
     np.testing.assert_array_equal(panel.bounds.T, [hx.LOW, hx.HIGH])
+
+
+@pytest.mark.parametrize("faulty", [[], [0.91]], ids=["sound", "one reads 17 % high"])
+def test_one_faulty_sensor_leaves_the_fleet_as_built(faulty):
+    levels = np.array([*np.linspace(0.76, 0.78, 19), *faulty])
+
+    as_built, _ = _as_built(levels, 2.0 * ENTRY_WEAR)
+
+    assert as_built == pytest.approx(0.775, abs=0.01)
