@@ -31,15 +31,17 @@ def first_screen(
         Of `price.prices`.
     """
     product = {component: contestants["product"] for component, contestants in lives.items()}
+    low, high = COVERAGE_GOAL
+    within_50 = f"AUC (goal {AUC_GOAL:.2f}), Brier skill (goal {BRIER_GOAL:.2f})"
     rows = [
-        ("faults or failures alerted (goal 80 %)", alerts, _alerted),
+        (f"faults or failures alerted (goal {_percent(ALERTED_GOAL)})", alerts, _alerted),
         ("alerts in 1,000 flights; followed by the message, finding or fault within 200", alerts, _followed),
-        ("alerts without their own cause in 1,000 flights (goal 1)", alerts, _without_cause),
-        ("flights left: mean error (goal 50)", product, _error),
+        (f"alerts without their own cause in 1,000 flights (goal {OWN_CAUSE_GOAL:.0f})", alerts, _without_cause),
+        (f"flights left: mean error (goal {ERROR_GOAL_FLIGHTS:.0f})", product, _error),
         ("middle of the forecast late before failures, by flights", product, _late),
-        ("90 % interval holds (goal 88 to 92 %); width", product, _interval),
-        ("interval score over that of a constant (goal 0.70)", product, _score),
-        ("message within 50 flights or none: AUC (goal 0.95), Brier skill (goal 0.25)", product, _within_50),
+        (f"90 % interval holds (goal {100.0 * low:.0f} to {_percent(high)}); width", product, _interval),
+        (f"interval score over that of a constant (goal {SCORE_GOAL:.2f})", product, _score),
+        (f"message within 50 flights or none: {within_50}", product, _within_50),
     ]
     lines = [["", *COMPONENTS.values()]]
     for words, figures, cell in rows:

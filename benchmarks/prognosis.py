@@ -23,7 +23,14 @@ from sklearn.preprocessing import StandardScaler
 from benchmarks import by_reserve, price
 from benchmarks.alerts import COMPONENTS, by_component, confusion, curves, figures_of, tally, together
 from benchmarks.by_reserve import TypeRecord
-from benchmarks.first_screen import first_screen
+from benchmarks.first_screen import (
+    AUC_GOAL,
+    BRIER_GOAL,
+    COVERAGE_GOAL,
+    ERROR_GOAL_FLIGHTS,
+    SCORE_GOAL,
+    first_screen,
+)
 from benchmarks.fleets import Frames, flown, reserve_class
 from benchmarks.harness import DOCS, README, Texts, markdown, run
 from benchmarks.held_out import SETS, Learner, extrapolated, lead_at_budget, rows_of
@@ -50,7 +57,13 @@ HORIZONS = ((0, 25), (25, 50), (50, 100), (100, 200), (200, 300))
 RECALLS = (0.4, 0.8, 0.9)
 ON_RECORD = ((0, 0), (1, 2), (3, 5), (6, 10), (11, 10**6))
 """Failures on a fleet's record when a month begins, from and to."""
-GOALS = {"mae": "50", "coverage": "0.88-0.92", "score over a constant's": "0.70", "Brier skill": "0.25", "AUC": "0.95"}
+GOALS = {
+    "mae": f"{ERROR_GOAL_FLIGHTS:.0f}",
+    "coverage": "-".join(f"{share:.2f}" for share in COVERAGE_GOAL),
+    "score over a constant's": f"{SCORE_GOAL:.2f}",
+    "Brier skill": f"{BRIER_GOAL:.2f}",
+    "AUC": f"{AUC_GOAL:.2f}",
+}
 
 
 def life_figures(prognoses: pl.DataFrame) -> dict[str, float]:
