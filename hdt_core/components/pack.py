@@ -17,8 +17,7 @@ HX = Component(
     # where packs ran out of ram door in the first fleets seen; used where the margin is unknown
     limit=Limit(0.38, 0.10, 0.08),
     life_flights=400.0,
-    action="Plan a wash or replacement of the heat exchanger (ATA 21-52, remove/install); "
-    "look at ram inlet and core face first",
+    action="Wash or replace the heat exchanger (ATA 21-52, remove/install); look at ram inlet and core face first",
     message_code="21-52-HXTEMP",
     warn_loss=0.15,
     ended_by=(REPLACED, CLEANED),

@@ -5,6 +5,7 @@ on record when the flight's month began, with the declared limit as prior.
 """
 
 import hashlib
+from functools import partial
 
 import numpy as np
 import polars as pl
@@ -12,8 +13,10 @@ from scipy.special import ndtr
 
 from hdt_core.components import Component, Limit, WearLaw
 from hdt_core.margin.first_passage import wear_rate
+from hdt_core.prognosis.choices import Washes, forecast_choices
 from hdt_core.prognosis.fleet_record import FleetRecord, month_of, start_of
 from hdt_core.prognosis.hazard import EDGES, events_ahead, quantile
+from hdt_core.prognosis.history import Index
 from hdt_core.prognosis.model import HORIZON, OUT_OF_FOLD
 from hdt_core.prognosis.unit_lives import episodes, life_table
 from hdt_core.prognosis.wear_laws import wear_laws
@@ -46,6 +49,30 @@ def component_prognoses(
     record, month_at = FleetRecord(rows, messages, maintenance), month_of(rows["departed_at"])
     parts = [_predict(rows.filter(month_at == m), record.as_of(start_of(m)), component) for m in record.months()]
     return pl.concat([_predict(rows.clear(), record, component), *parts]).sort(*PACK, "departed_at", "flight_id")
+
+
+def component_choices(
+    features: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component, washes: Washes
+) -> pl.DataFrame:
+    """Forecast each unit after its last flight from the loss that each choice leaves; see `component_prognoses`."""
+    rows = features.filter(pl.col("component") == component.code).sort(*PACK, "departed_at", "flight_id")
+    record = FleetRecord(rows, messages, maintenance)
+    last_flights = rows.drop_nulls("loss").unique(PACK, keep="last", maintain_order=True)
+    month_at = month_of(last_flights["departed_at"])
+    parts = []
+    for month in month_at.unique().sort():
+        units = last_flights.filter(month_at == month)
+        past = record.as_of(start_of(month))
+        predict = partial(_predict_from, units, past, component)
+        parts.append(forecast_choices(units, units["loss"].to_numpy(), component.code, washes, predict))
+    return pl.concat(parts) if parts else pl.DataFrame()
+
+
+def _predict_from(
+    units: pl.DataFrame, past: FleetRecord, component: Component, numbers: Index, losses: Array
+) -> pl.DataFrame:
+    """Predict some units, by number, from other losses."""
+    return _predict(units[numbers].with_columns(loss_left=losses), past, component)
 
 
 def component_life_table(
@@ -112,8 +139,9 @@ def _event_by(
     usual = law.grown(np.array(component.limit.mean)) / component.life_flights
     flights = np.where(np.isnan(slope), 2.0, np.minimum(n_flights + 1.0, 100.0))
     limit, limit_sd = limits
-    grown, grown_sd = law.grown(loss), 0.5 * (law.grown(loss + sd) - law.grown(loss - sd))
-    gained = grown - law.grown(loss - np.nan_to_num(slope) * flights)
+    gained = law.grown(loss) - law.grown(loss - np.nan_to_num(slope) * flights)
+    left = rows["loss_left"].to_numpy() if "loss_left" in rows.columns else loss
+    grown, grown_sd = law.grown(left), 0.5 * (law.grown(left + sd) - law.grown(left - sd))
     rate, rate_sd = wear_rate(gained / flights, flights, float(usual), float(usual))
     return first_passage(grown, grown_sd, rate, rate_sd, (law.grown(limit), law.slope(limit) * limit_sd), alive)
 

@@ -11,7 +11,7 @@ from hdt_core.components.pack import CC
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
 from hdt_core.margin.first_passage import WINDOW_FLIGHTS, repeated_demand
 from hdt_core.margin.margin import LN_RATIO_PER_K, PRIOR_RULE, MessageRule, at_excess
-from hdt_core.prognosis.history import FEATURES, Panel, feature_rows, record_rows
+from hdt_core.prognosis.history import FEATURES, RECORD, Index, Panel, feature_rows, record_rows
 from hdt_core.prognosis.recalibrate import learn_rules, rule_onsets
 from hdt_core.prognosis.unit_lives import flight_rows, with_lives
 from hdt_core.records.keys import PACK
@@ -176,6 +176,28 @@ def tracks_as_of(track: Tracks, moment: datetime, lives: pl.DataFrame, component
     for values, name in ((remaining, "remaining"), (failed, "failed"), (mute, "mute")):
         values[is_past] = ends[name].to_numpy()
     return replace(track, remaining=remaining, failed=failed, mute=mute)
+
+
+def last_rows(track: Tracks) -> Index:
+    """Return the row of each pack's last flight of known health."""
+    known_rows = np.flatnonzero(track.at[:, 1] >= 0)
+    pack = track.curve_index[known_rows, 0]
+    return np.asarray(known_rows[np.diff(pack, append=-1) != 0])
+
+
+def level_of(track: Tracks) -> Array:
+    """Return the loss after each row's flight. (n,)"""
+    return track.record[:, RECORD.index("level")]
+
+
+def with_loss(track: Tracks, rows: Index, loss: Array) -> Tracks:
+    """Return some rows as if the unit had another loss, at the same pace and demand."""
+    record = track.record[rows]
+    gain = np.log1p(-loss) - np.log1p(-level_of(track)[rows])
+    record[:, RECORD.index("ratio")] += gain
+    record[:, RECORD.index("level")] = loss
+    by_row = {name: getattr(track, name)[rows] for name in ("at", "curve_index", "remaining", "failed", "mute")}
+    return replace(track, record=record, keys=track.keys[rows], **by_row)
 
 
 def _panel(rows: pl.DataFrame, lives: int) -> Panel:

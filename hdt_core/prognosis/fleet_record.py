@@ -7,12 +7,13 @@ enter from the next month on.
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import UTC, date, datetime
 
 import numpy as np
 import polars as pl
 
+from hdt_core.prognosis.choices import Washes
 from hdt_core.prognosis.feature_rows import Tracks
 from hdt_core.prognosis.recalibrate import TERMS
 from hdt_core.prognosis.unit_lives import episodes, life_table, units_on_record
@@ -36,11 +37,14 @@ class FleetRecord:
         operator, tail, flight_id, pack, departed_at and the losses that `feature_rows.tracks` reads.
     messages, maintenance : DataFrame
         As for `unit_lives.episodes`.
+    washes : mapping of str to Washes
+        Measured washes by component.
     """
 
     features: pl.DataFrame
     messages: pl.DataFrame
     maintenance: pl.DataFrame
+    washes: Mapping[str, Washes] = field(default_factory=dict)
 
     def as_of(self, moment: datetime) -> "FleetRecord":
         """Return the record at a moment, without later flights, messages or log entries."""

@@ -21,9 +21,10 @@ from hdt_core.prognosis.feature_rows import (
     Tracks,
     fleet_rows,
     learn_rule,
+    with_loss,
 )
 from hdt_core.prognosis.hazard import EDGES, event_by, events_ahead, hazards, passage_hazards, quantile
-from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD
+from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD, Index
 from hdt_core.prognosis.metrics import interval_score
 from hdt_core.prognosis.recalibrate import NOMINAL, HazardCorrection, Levels, learn_correction, learn_levels
 from hdt_core.robust import Array
@@ -191,6 +192,14 @@ def predict_by_fold(model: Prognosis, component: str, track: Tracks, is_selected
         is_of_fold = is_selected & track.keys["tail"].is_in(fold.tails).to_numpy()
         parts.append(_predict(model, track, fold.fits[component], component, is_of_fold))
     return pl.concat(parts)
+
+
+def predict_from(
+    model: Prognosis, component: str, track: Tracks, units: Index, numbers: Index, losses: Array
+) -> pl.DataFrame:
+    """Predict some of the rows `units` of a track, by number, from other losses, each tail by its fold."""
+    changed = with_loss(track, units[numbers], losses)
+    return predict_by_fold(model, component, changed, np.ones(len(numbers), bool))
 
 
 def _learn(base: Prognosis, track: Tracks, component: str, use: Array) -> ComponentFit:

@@ -12,8 +12,9 @@ the record.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,16 @@ import polars as pl
 
 from hdt_core.components import Limit
 from hdt_core.margin.margin import MessageRule
-from hdt_core.prognosis.feature_rows import PRIOR_RULES, FailureRule, Tracks, tracks, tracks_as_of
+from hdt_core.prognosis.choices import NO_WASHES, forecast_choices
+from hdt_core.prognosis.feature_rows import (
+    PRIOR_RULES,
+    FailureRule,
+    Tracks,
+    last_rows,
+    level_of,
+    tracks,
+    tracks_as_of,
+)
 from hdt_core.prognosis.fleet_record import (
     FleetRecord,
     ScoredFlights,
@@ -42,6 +52,7 @@ from hdt_core.prognosis.model import (
     assemble,
     fit_component,
     predict_by_fold,
+    predict_from,
     split_tails,
     with_version,
 )
@@ -174,10 +185,11 @@ class MonthModel:
 
 @dataclass(frozen=True, slots=True)
 class ModelUpdate:
-    """Models by month with flights, and the out-of-fold prognoses of all flights."""
+    """Models by month with flights, the out-of-fold prognoses of all flights, and the choices after the last."""
 
     months: dict[date, MonthModel]
     prognoses: pl.DataFrame
+    choices: pl.DataFrame = field(default_factory=pl.DataFrame)
 
     @property
     def newest(self) -> MonthModel:
@@ -222,15 +234,16 @@ def update_model(candidate: Prognosis, last: ModelUpdate | None, record: FleetRe
         }
         card = model_card(forecast.models[month], scores if month == max(digests) else None)
         months[month] = MonthModel(forecast.models[month], card, digest, forecast.scored_flights[month], service)
-    return ModelUpdate(months, forecast.prognoses)
+    return ModelUpdate(months, forecast.prognoses, forecast.choices)
 
 
 class _Forecast(NamedTuple):
-    """Models by month, their flights, and the prognoses of all flights."""
+    """Models by month, their flights, the prognoses of all flights, and the choices after the last."""
 
     models: dict[date, Prognosis]
     scored_flights: dict[date, ScoredFlights]
     prognoses: pl.DataFrame
+    choices: pl.DataFrame
 
 
 def _forecast(
@@ -243,21 +256,29 @@ def _forecast(
     models = {month: last_months[month].model for month in record.months() if month not in tails}
     fits: dict[date, dict[str, list[ComponentFit]]] = {month: {} for month in tails}
     scored_flights: dict[date, ScoredFlights] = {month: {} for month in record.months()}
+    choices = [pl.DataFrame()]
 
     def predict_component(component: str, track: Tracks) -> tuple[pl.DataFrame, pl.DataFrame]:
         flights, is_new = score_months(track, component, {m: last_months[m].scored_flights for m in last_months})
         month_at = month_of(track.keys["departed_at"])
         is_new |= month_at.is_in(list(tails)).to_numpy()
         parts = [predict_by_fold(base, component, track, is_new & False)]
+        last_flights = last_rows(track)
         for month in scored_flights:
             scored_flights[month] |= flights.get(month, {})
             if month in tails:
                 past_track = tracks_as_of(track, start_of(month), lives[month], component)
                 fits[month][component] = fit_component(base, past_track, component, folds[month])
-            is_selected = is_new & (month_at == month).to_numpy()
-            if is_selected.any():
-                model = models.get(month) or assemble(base, folds[month], {component: fits[month][component]})
-                parts.append(predict_by_fold(model, component, track, is_selected))
+            is_of_month = (month_at == month).to_numpy()
+            is_selected = is_new & is_of_month
+            units = last_flights[is_of_month[last_flights]]
+            if not (is_selected.any() or units.size):
+                continue
+            model = models.get(month) or assemble(base, folds[month], {component: fits[month][component]})
+            parts.append(predict_by_fold(model, component, track, is_selected))
+            predict = partial(predict_from, model, component, track, units)
+            loss, washes = level_of(track)[units], record.washes.get(component, NO_WASHES)
+            choices.append(forecast_choices(track.keys[units], loss, component, washes, predict))
         old_keys = track.keys.filter(~is_new).select(*PACK, "flight_id", pl.lit(component).alias("component"))
         return pl.concat(parts), old_keys
 
@@ -271,7 +292,8 @@ def _forecast(
         if last is None
         else last.prognoses.join(pl.concat(old_keys), on=["component", *PACK, "flight_id"], how="semi")
     )
-    return _Forecast(models, scored_flights, pl.concat([old_prognoses, new_prognoses]).sort("component", *IN_ORDER))
+    prognoses = pl.concat([old_prognoses, new_prognoses]).sort("component", *IN_ORDER)
+    return _Forecast(models, scored_flights, prognoses, pl.concat(choices, how="diagonal"))
 
 
 def _version_of(models: Mapping[date, Prognosis]) -> pl.Expr:

@@ -17,6 +17,10 @@ from hdt_core.tables.base import (
 )  # fmt: skip
 
 
+def _chance_within(flights: int) -> dy.Float64:
+    return number(f"probability of a failure event within the next {flights} flights", "-", 0, 1)
+
+
 class PrognosisBase(Table):
     """Prognostic model learned from simulated lives, before any fleet's."""
 
@@ -52,14 +56,30 @@ class Prognoses(ComponentLegTable):
     rul_flights = number("flights left until the failure message, 50 % point without any condition", "flights", 0)
     rul_low = number("5 % point of the flights left; 300 stands for 300 or more", "flights", 0)
     rul_high = number("95 % point of the flights left; 300 stands for 300 or more", "flights", 0)
-    p_event_25 = number("probability of a failure event within the next 25 flights", "-", 0, 1)
-    p_event_50 = number("probability of a failure event within the next 50 flights", "-", 0, 1)
-    p_event_100 = number("probability of a failure event within the next 100 flights", "-", 0, 1)
-    p_event_200 = number("probability of a failure event within the next 200 flights", "-", 0, 1)
-    p_event_300 = number("probability of a failure event within the next 300 flights", "-", 0, 1)
+    p_event_25 = _chance_within(25)
+    p_event_50 = _chance_within(50)
+    p_event_100 = _chance_within(100)
+    p_event_200 = _chance_within(200)
+    p_event_300 = _chance_within(300)
     beyond_horizon = flag("rul_flights lies beyond the horizon of 300 flights", nullable=True)
     model_version = text("model of the prediction", nullable=False)
     split = text("out_of_fold or live", nullable=False)
+
+
+class PrognosisChoices(ComponentLegTable):
+    """Forecast after a unit's last flight from the loss that a choice leaves: pack, component, choice."""
+
+    component = component_key()
+    choice = text("defer (no work), wash or replace", nullable=False, primary_key=True)
+    departed_at = moment("first recorded time")
+    loss_left = number("loss after it, the mean of what it may leave", "-")
+    loss_left_sd = number("spread of what it may leave", "-", 0)
+    rests_on = text("what the share rests on that a wash leaves: prior, or the number of washes after like losses")
+    p_event_25 = _chance_within(25)
+    p_event_50 = _chance_within(50)
+    p_event_100 = _chance_within(100)
+    p_event_200 = _chance_within(200)
+    p_event_300 = _chance_within(300)
 
 
 class PrognosisLives(AircraftTable):

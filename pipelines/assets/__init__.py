@@ -62,6 +62,15 @@ def catalog(home: Home) -> Iterator[dg.MaterializeResult[Any]]:
     yield from (dg.MaterializeResult(asset_key=spec.key) for spec in VIEWS)
 
 
+def write_home_report(home: Path) -> Path:
+    """Write the report into the home, and return its path."""
+    from pipelines.report.page import write_report
+
+    target = home / REPORT
+    write_report(home, target)
+    return target
+
+
 _REPORT_VIEWS = [view_key(view) for view in views_read()]
 
 
@@ -75,8 +84,5 @@ _REPORT_VIEWS = [view_key(view) for view in views_read()]
 )
 def report(home: Home) -> dg.MaterializeResult[Any]:
     """Write the report from the present catalog."""
-    from pipelines.report.page import write_report
-
-    target = Path(home.home) / REPORT
-    write_report(Path(home.home), target)
+    target = write_home_report(Path(home.home))
     return dg.MaterializeResult(metadata={"page": dg.MetadataValue.path(target), "bytes": target.stat().st_size})

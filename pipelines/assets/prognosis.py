@@ -6,8 +6,11 @@ from dataclasses import asdict
 
 import polars as pl
 
+from hdt_core.components.declaration import CLEANED
+from hdt_core.components.pack import HX
 from hdt_core.margin.exchanger_demand import CRITICAL
-from hdt_core.prognosis.component_life import component_life_table, component_prognoses
+from hdt_core.prognosis.choices import NO_WASHES, Washes, learn_washes
+from hdt_core.prognosis.component_life import component_choices, component_life_table, component_prognoses
 from hdt_core.prognosis.feature_rows import LOSSES, MARGIN_FEATURES
 from hdt_core.prognosis.fleet_record import FleetRecord, TrainingDigest
 from hdt_core.prognosis.service import ModelUpdate, MonthModel, fits_to_json, model_card, update_model, with_fits
@@ -37,8 +40,9 @@ def prognosis(
     calibration_dsm: pl.DataFrame,
     calibration_schedules: pl.DataFrame,
     features_components: pl.DataFrame,
+    features_work: pl.DataFrame,
     home: Home,
-) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
+) -> tuple[pl.DataFrame, ...]:
     """Predict time to the failure message by the base corrected by lives of earlier months, each tail's by other tails.
 
     A base that scores worse than the one in service is not promoted. Losses of declared components are extrapolated to
@@ -50,18 +54,33 @@ def prognosis(
     features = health.join(margins, on=[*PACK, "flight_id"], how="left", validate="m:1").collect()
     stored = home.store.read_table("prognosis_model").sort("month")
     candidate, in_service = load_base(prognosis_base["model"][0]), _model_in_service(stored, home.store)
-    record = FleetRecord(features, raw_messages, raw_maintenance)
+    washes = _washes_on_record(features, features_components, features_work)
+    record = FleetRecord(features, raw_messages, raw_maintenance, washes)
     update = update_model(candidate, in_service, record, _design(calibration_dsm, calibration_schedules))
     base = prognosis_base if not update.months or update.newest.model.hazard is candidate.hazard else stored
     lives = life_table(features, record.lives())
     inputs, declared = (features_components, raw_messages, raw_maintenance), recorded_in(features_components)
     prognoses = conform_all("prognoses", [update.prognoses, *(component_prognoses(*inputs, c) for c in declared)])
     lives = conform_all("prognosis_lives", [lives, *(component_life_table(*inputs, c) for c in declared)])
-    return prognoses, _rows(update, base["model"][-1]), lives
+    after_work = [component_choices(*inputs, c, washes.get(c.code, NO_WASHES)) for c in declared]
+    choices = conform_all("prognosis_choices", [update.choices, *after_work])
+    return prognoses, _rows(update, base["model"][-1]), lives, choices
 
 
 FEATURE_COLUMNS = (*PACK, "flight_id", "departed_at", *LOSSES)
 """Features that prognoses need, of 150; more would take memory on a large fleet."""
+
+
+def _washes_on_record(
+    features: pl.DataFrame, features_components: pl.DataFrame, features_work: pl.DataFrame
+) -> dict[str, Washes]:
+    """Measure the washes of each component."""
+    exchangers = features.select(
+        *PACK, "departed_at", component=pl.lit(HX.code), loss="hx_fouling", loss_sd="hx_fouling_sd"
+    )
+    losses = pl.concat([exchangers, features_components.select(exchangers.columns)])
+    washed = features_work.filter(action=CLEANED).partition_by("component", as_dict=True)
+    return {code: learn_washes(losses.filter(component=code), work) for (code,), work in washed.items()}
 
 
 def _design(calibration_dsm: pl.DataFrame, calibration_schedules: pl.DataFrame) -> str:

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import polars as pl
 
+from hdt_core.alerts.answers import CASE, with_findings
 from hdt_core.record.facts import flight_facts
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import RawChecks
 from pipelines.assets.stage import StageResult, stage
 from pipelines.intake.airframes import add_airframes, with_airframe
 from pipelines.intake.faults import NO_FAULTS, quarantine
-from pipelines.intake.findings import CASE, costs_or_fault, with_findings
 from pipelines.intake.findings import NAME as COSTS_FILE
+from pipelines.intake.findings import costs_or_fault
 from pipelines.intake.ingest import ingest_flights, landing_files, register_unread
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile

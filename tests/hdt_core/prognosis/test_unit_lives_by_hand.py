@@ -12,7 +12,8 @@ from hdt_core.components import LINEAR, Limit, components
 from hdt_core.margin.exchanger_demand import CRITICAL
 from hdt_core.margin.margin import MessageRule
 from hdt_core.prognosis.base import draw_fleets, simulated_rows
-from hdt_core.prognosis.component_life import component_prognoses, first_passage, learn_limit
+from hdt_core.prognosis.choices import NO_WASHES
+from hdt_core.prognosis.component_life import component_choices, component_prognoses, first_passage, learn_limit
 from hdt_core.prognosis.feature_rows import FEATURES, LN_RATIO_PER_K, fleet_rows, learn_rule, tracks
 from hdt_core.prognosis.hazard import quantile
 from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
@@ -173,6 +174,18 @@ def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
     versions = months.agg(pl.col("model_version").unique())
     assert versions["model_version"].list.len().to_list() == [1] * 4
     assert versions["model_version"].explode().n_unique() == 4
+
+
+def test_choices_of_a_declared_component_follow_its_prognosis():
+    rows = pl.concat([described(40, "T-1", 0.24), described(70, "T-2", 0.1)])
+    inputs = (rows, faults_on((0, HX_CODE)), log(), CC)
+
+    choices = component_choices(*inputs, NO_WASHES).sort("tail", "choice")
+
+    last = component_prognoses(*inputs).filter(pl.col("departed_at") == pl.col("departed_at").max().over("tail"))
+    assert choices["choice"].to_list() == ["defer", "replace"] * 2
+    assert choices["p_event_200"][::2].to_list() == pytest.approx(last.sort("tail")["p_event_200"].to_list())
+    assert choices["p_event_200"][1] < choices["p_event_200"][0] / 10.0
 
 
 def test_where_nobody_would_tell_a_unit_may_have_failed_already():
