@@ -117,7 +117,7 @@ def write_dossier(home: Path, attached: Sequence[Path] = ()) -> str:
         section(
             "7 Known failures",
             *_subsection("Messages without a prior alert", tables["missed"]),
-            *_subsection("Alerts without a finding, a message or a removal", tables["false_alarms"]),
+            *_subsection("Alerts that were wrong", tables["false_alarms"]),
         ),
         *(_attachment(path) for path in (*_own_papers(), *attached)),
     )

@@ -109,7 +109,8 @@ class FigureBuilder:
         new = [a for a in self.scores.alerts if not a.alert.standing]
         followed = [a for a in new if a.followed and a.verdict not in ("removed", "after_event")]
         events, leads = self.scores.events, [e for e in self.scores.events if e.lead_flights]
-        right = [(a.alert.place[:2], a.verdict == "hit") for a in followed]
+        by_event = [(a.alert.place[:2], a.verdict == "hit") for a in followed]
+        by_any = [(a.alert.place[:2], a.verdict in ("hit", "answered")) for a in followed]
         return [
             self._false_alarms(followed),
             self._share(
@@ -123,7 +124,8 @@ class FigureBuilder:
             ),
             self._point("lead_median", "Lead, median", leads, 0.5),
             self._point("lead_p10", "Lead, 10th percentile", leads, 0.1),
-            self._share("right", "Alerts followed by an event in time", right, "alerts"),
+            self._share("right", "Alerts followed by an event in time", by_event, "alerts"),
+            self._share("right_or_answered", "The same, or by work that took a loss away", by_any, "alerts"),
             *self._costs(followed),
         ]
 

@@ -17,9 +17,9 @@ from hdt_trial.seal import Place, place_of
 
 Tail = tuple[str, str]
 
-VERDICTS = ("hit", "too_late", "too_early", "false_alarm", "after_event", "removed", "open")
-"""Of an alert: in time; an event too soon; an event too far off; none came; it had come; the unit went without a
-finding; not flown long enough to tell."""
+VERDICTS = ("hit", "too_late", "too_early", "answered", "false_alarm", "after_event", "removed", "open")
+"""Of an alert: in time; an event too soon; an event too far off; work took away a loss that the flights show; no event
+came; it had come; the unit went without a finding; not flown long enough to tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +100,10 @@ class Judge:
         cleared = _next(self.outcomes.no_faults, place, alert.known_at)
         if cleared and (removed is None or cleared <= removed):
             return JudgedAlert(alert, "false_alarm", followed, None)
-        if removed and self.flown(tail, alert.known_at, removed) < d.early_flights:
-            return JudgedAlert(alert, "removed", followed, None)
+        answered = _next(self.outcomes.answers, place, alert.known_at)
+        for verdict, at in (("answered", answered), ("removed", removed)):
+            if at and self.flown(tail, alert.known_at, at) < d.early_flights:
+                return JudgedAlert(alert, verdict, followed, None)
         return JudgedAlert(alert, "false_alarm" if followed else "open", followed, None)
 
     def event(self, place: Place, at: datetime, alerts: Sequence[SealedAlert]) -> JudgedEvent:

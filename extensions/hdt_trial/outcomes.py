@@ -22,9 +22,12 @@ from tables.raw_messages as m
 inner join tables.components as c on m.code = c.message_code
 union all
 select
-    operator, tail, pack, component, counts_from as at,
-    case when action = 'REPLACED' then 'REPLACED' else 'INSPECTED' end as kind, finding
-from tables.raw_maintenance
+    operator, tail, position as pack, component, flown_from as at,
+    case when action = 'REPLACED' and in_force then 'REPLACED' else 'INSPECTED' end as kind, finding
+from maintenance where is_done
+union all
+select operator, tail, position as pack, component, flown_from as at, 'ANSWERED' as kind, finding
+from maintenance where is_shown and finding is distinct from 'NO_FAULT_FOUND'
 """
 _FLIGHTS = "select operator, tail, list_sort(list(distinct departed_at)) as departed from flights group by all"
 
@@ -39,6 +42,8 @@ class Outcomes:
     """Events to be foretold: the first message of each unit, or its removal with a finding."""
     removals: dict[Place, list[datetime]]
     no_faults: dict[Place, list[datetime]]
+    answers: dict[Place, list[datetime]]
+    """Work whose recovery shows the loss that it took away."""
     without_pack: int
     """Messages and works that name no pack: of no unit, so not judged."""
 
@@ -59,11 +64,14 @@ def read_outcomes(con: duckdb.DuckDBPyConnection, log: Sequence[LogEntry], decla
 def outcomes_of(
     rows: pl.DataFrame, departed: dict[tuple[str, str], list[datetime]], declared: Declaration, without_pack: int = 0
 ) -> Outcomes:
-    """Events, removals and findings without a fault, of rows `COLUMNS[:7]` in order of time."""
-    removals, no_faults, events = (dict[Place, list[datetime]]() for _ in range(3))
+    """Events, removals, findings without a fault and answers, of rows `COLUMNS[:7]` in order of time."""
+    removals, no_faults, events, answers = (dict[Place, list[datetime]]() for _ in range(4))
     open_events: set[Place] = set()
     for *place, at, kind, finding in rows.iter_rows():
         key = (place[0], place[1], place[2], place[3])
+        if kind == "ANSWERED":
+            answers.setdefault(key, []).append(at)
+            continue
         if finding in declared.no_fault:
             no_faults.setdefault(key, []).append(at)
         if key not in open_events and (kind == "MESSAGE" or (kind == "REPLACED" and finding in declared.findings)):
@@ -72,7 +80,7 @@ def outcomes_of(
         if kind == "REPLACED":
             removals.setdefault(key, []).append(at)
             open_events.discard(key)
-    return Outcomes(departed, events, removals, no_faults, without_pack)
+    return Outcomes(departed, events, removals, no_faults, answers, without_pack)
 
 
 def seal_outcomes(home: Path, file: Path, now: datetime | None = None) -> LogEntry:

@@ -52,6 +52,7 @@ _VERDICTS = {
     "hit": "event in time",
     "too_late": "alert too late to act",
     "too_early": "alert too early",
+    "answered": "work took away a loss before an event",
     "false_alarm": "false alarm",
     "after_event": "raised after the event: not scored",
     "removed": "unit removed without a finding: not scored",

@@ -112,8 +112,8 @@ DIAGNOSES = {
             code="HX_LOW_MARGIN",
             component="HX",
             name="little cooling margin left",
-            action="Not a new exchanger alone: check target, flow schedule and ram door travel (ATA 21-53, rigging), "
-            "keep the aircraft off hot sectors where it can be, and wash at the next stop",
+            action="Check outlet target, flow schedule and ram door travel (ATA 21-53, rigging); a new exchanger alone "
+            "does not help; keep the aircraft off hot sectors where it can be, and wash at the next stop",
             ended_by=HX.ended_by,
             severity=lambda facts: "high" if facts["hx_passage_100"] > 0.5 else "medium",
             evidence=evidence.low_margin,

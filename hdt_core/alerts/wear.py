@@ -1,5 +1,7 @@
 """Wear of exchanger and compressor past its limit, the sudden clog, and low margin without wear."""
 
+from collections.abc import Callable
+
 import numpy as np
 import polars as pl
 from scipy.special import ndtr
@@ -7,6 +9,7 @@ from scipy.special import ndtr
 from hdt_core.alerts.cases import DIAMETER_SD, FAILS_AT, REPAIR, WEAR_LIMIT, Case, Grid, Limits, fact_after, runs
 from hdt_core.components.pack import CC, HX
 from hdt_core.health.detection import Cusum, lingering, persistent, since, watch
+from hdt_core.records.recoveries import RECOVERY_FLIGHTS
 from hdt_core.records.unit_index import NEW_UNIT
 from hdt_core.robust import Array
 
@@ -21,6 +24,8 @@ FEIGNED_FLIGHTS = 90
 BLOCK_FLIGHTS, RISE_MARGIN = 10, 0.03
 """Flights in a block, and by how much the lowest of many blocks lies below a later one by chance: scatter of the ten
 0.005, and 0.005 of the model's slow error (`tracking.wear_model.MAP_SD`). [-]"""
+DIAMETER_PERSISTENCE = (1, 1, 20)
+"""Flights that open and close a case by the diameter, as `cases.Persistence`; its detector has summed many already."""
 BEYOND_DOUBT = 0.05
 """Loss beyond its limit at which a worn exchanger that has a case of little margin gets one of wear: two sigma. [-]"""
 SAME_CLOG = 40
@@ -52,7 +57,8 @@ def hx_cases(
     jump_flags = (step > limits.clog) & ~_returns_after_recovery(step, restart, limits)
     jump_flags &= (np.fmax(loss, gain) > WEAR_LIMIT) & may_be_blockage & reliable & ~_after_repair(grid, maintenance)
     is_clogged = persistent(jump_flags, *limits.clog_persistence, restart=restart)
-    cases = [_hx(grid, "HX_SUDDEN_CLOG", run, gain) for run in runs(is_clogged, restart)]
+    clogs = [_extend(run, loss, restart, lambda at: max(0.5 * at, WEAR_LIMIT)) for run in runs(is_clogged, restart)]
+    cases = [_hx(grid, "HX_SUDDEN_CLOG", run, gain) for run in clogs]
     for unit, first, end in runs(is_fouled, restart):
         jump = next((c for c in cases if c.unit == unit and _led_to(c, first, restart)), None)
         if jump is None:
@@ -60,6 +66,19 @@ def hx_cases(
         elif jump.closed_flight is not None:
             jump.closed_flight = None if end is None else max(jump.closed_flight, end)
     return cases
+
+
+def _extend(
+    run: tuple[int, int, int | None], loss: Array, restart: Array, level: Callable[[float], float]
+) -> tuple[int, int, int | None]:
+    """Let a run last until the loss has been below a level, given that at its start, or until work on the unit."""
+    unit, first, end = run
+    if end is None:
+        return run
+    is_lost = ~(loss[unit, first:] < level(loss[unit, first]))
+    has_recovered = since(is_lost[None])[0] >= RECOVERY_FLIGHTS
+    ends = end + np.flatnonzero(has_recovered[end - first :] | restart[unit, end:])
+    return unit, first, int(ends[0]) if ends.size else None
 
 
 def _led_to(jump: Case, first: int, restart: Array) -> bool:
@@ -129,8 +148,8 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
 
     On a type with little reserve, or in a hot season, a hardly worn exchanger leaves its level with the ram door full
     open; a new exchanger does not help there. That is reported once for a unit, not each hot week and after each wash:
-    again where it has worn since. Packs without `hx_passage_300` have no case. `doubtful` (units, flights): a door or
-    the outlet is in doubt.
+    again where it has worn since. A case whose loss has grown goes on in cool air. Packs without `hx_passage_300` have
+    no case. `doubtful` (units, flights): a door or the outlet is in doubt.
     """
     restart = grid.worked_on(maintenance, ("HX",), HX.ended_by)
     soon, loss = np.nan_to_num(grid.values("hx_passage_300")), grid.values("hx_fouling")
@@ -142,9 +161,12 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
     replaced = grid.worked_on(maintenance, ("HX",), NEW_UNIT)
     cases: list[Case] = []
     last_reported: dict[int, int] = {}
-    for unit, start, end in runs(low, restart):
+    for run in runs(low, restart):
+        unit, start, end = _extend(run, loss, restart, lambda at: at + RISE_MARGIN)
         if loss[unit, start] > limits.fouling:
             continue  # explained by wear, which has its own case
+        if cases and cases[-1].unit == unit and not (cases[-1].closed_flight or np.inf) <= start:
+            continue  # goes on since the loss has grown
         first = start
         if loss[unit, start] < BEYOND_DOUBT:
             last = last_reported.get(unit)
@@ -179,7 +201,12 @@ def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Ar
     # equation (5) takes the root of efficiency
     diameter = _diameter(grid, restart, 0.5 * limits.compressor)
     has_efficiency = np.logical_or.accumulate(np.isfinite(loss), axis=1)
-    by_diameter = (diameter[:, :, 1] > 0.5) & ~has_efficiency & ~doubtful
+    by_diameter = persistent(
+        (diameter[:, :, 1] > 0.5) & ~has_efficiency & ~doubtful,
+        *DIAMETER_PERSISTENCE,
+        keep=(diameter[:, :, 0] < -limits.compressor_keep * 0.5 * limits.compressor) & ~has_efficiency,
+        restart=restart,
+    )
     cases = []
     for unit, first, end in runs(by_efficiency | by_diameter, restart):
         shrinkage = fact_after("shrunk", diameter[unit, :, 0])

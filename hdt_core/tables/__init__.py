@@ -116,6 +116,9 @@ TABLES: dict[str, StoredTable] = {
     "prognosis_lives": StoredTable(
         prognosis.PrognosisLives, "fleet", ("operator", "tail", "pack", "component", "life")
     ),
+    "prognosis_choices": StoredTable(
+        prognosis.PrognosisChoices, "fleet", ("operator", "tail", "pack", "component", "choice")
+    ),
     "components": StoredTable(twin.ComponentList, "fleet", ("component",)),
     "raw_components": StoredTable(twin.RawComponents, "aircraft", ("component", *_SAMPLE, "signal")),
     "raw_components_deliveries": StoredTable(raw.RawDeliveries, "aircraft", ("file",), whole=True),

@@ -290,7 +290,7 @@ class FeaturesAlerts(Table):
     )
     sensor = text("SENSOR_FAULT: sensor at fault or, where a loss was found clean, the component; null for others")
     raised_flight_id = text("flight after which it was raised", nullable=False)
-    raised_at = moment("departure of that flight")
+    raised_at = moment("departure of the flight after which it was raised")
     closed_at = moment(
         "departure of the first flight without it; where none has flown since the work that ended it, when that counts",
         nullable=True,

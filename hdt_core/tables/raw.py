@@ -159,7 +159,7 @@ class RawMessages(AircraftRows):
 
     message_time = moment("time raised")
     flight_id = text("flight it was raised on")
-    pack = column(dy.Int32, "pack it names", nullable=True)
+    pack = column(dy.Int32, "air-conditioning pack, 1 left, 2 right; null where none is named", nullable=True)
     code = text("message code", nullable=False)
     file = text("file below the landing zone")
     text = text("message text")
@@ -185,8 +185,8 @@ class RawMaintenance(AircraftRows):
     """One piece of work that was done."""
 
     done_on = column(dy.Date, "day the log gives, up to some flights late", "UTC")
-    pack = column(dy.Int32, "pack worked on", nullable=True)
-    component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
+    pack = column(dy.Int32, "air-conditioning pack, 1 left, 2 right; null where none is named", nullable=True)
+    component = text("HX, CC, RAM_DOOR, SENSOR or the code of a declared component", nullable=False)
     action = text("REPLACED, CLEANED, INSPECTED or ADJUSTED", nullable=False)
     finding = text("FOULED, CLOGGED, CORRODED, DAMAGED, NO_FAULT_FOUND or nothing")
     reference = text("work order")
@@ -200,6 +200,7 @@ class RawMaintenance(AircraftRows):
     closes_alert_id = text("alert that an engineer closed with this finding, by the id it had then")
     closes_diagnosis = text("its diagnosis")
     closes_sensor = text("its sensor, as in the table of alerts")
+    since_night = flag("whether it was entered after the last night, which has not estimated with it", nullable=True)
 
 
 CLOSES = {"closes_alert_id": "alert_id", "closes_diagnosis": "diagnosis", "closes_sensor": "sensor"}
@@ -259,7 +260,7 @@ class RawCases(Table):
     operator = operator_key(primary_key=False)
     tail = tail_key(primary_key=False)
     pack = column(dy.Int32, "air-conditioning pack, 1 left, 2 right", nullable=True)
-    component = text("HX, CC, RAM_DOOR or SENSOR", nullable=False)
+    component = text("HX, CC, RAM_DOOR, SENSOR or the code of a declared component", nullable=False)
     diagnosis = text("diagnosis of the alert", nullable=False)
     sensor = text("sensor of the alert, as in the table of alerts")
     kind = text(

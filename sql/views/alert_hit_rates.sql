@@ -1,33 +1,46 @@
 -- How often was each kind of alert right so far?
--- An alert is judged where work or the aircraft's own message confirmed it, or where it closed without either; not
--- while it is open, nor where its unit was replaced without a finding.
+-- By the verdicts of alert_outcomes, and by the aircraft's message alone, which an alert acted on in time never has.
 -- n_alerts: alerts raised
--- n_judged: of them judged
--- n_right: of these confirmed by a finding or by the aircraft's message
+-- n_judged: of them judged: not open, and their outcome known
+-- n_right: of these found, answered or followed by the message
+-- n_message: of the judged followed by the message
 -- n_open: alerts still open
--- n_unjudged: closed alerts that no outcome judges
+-- n_unjudged: closed alerts whose outcome is not yet known
 -- hit_rate: share of the judged that were right [-]
 -- hit_rate_low: lower end of its 90 % interval (Wilson) [-]
 -- hit_rate_high: upper end [-]
--- Grain: component, diagnosis. Reads: alert_outcomes.
+-- message_rate: share of the judged that the message followed; NULL where the component has none [-]
+-- message_rate_low: lower end of its 90 % interval (Wilson) [-]
+-- message_rate_high: upper end [-]
+-- Grain: component, diagnosis. Reads: alert_outcomes, tables.components.
 create or replace view alert_hit_rates as
-with counted as (
+with heard as (
+    select component
+    from tables.components
+    where message_code is not null
+),
+
+counted as (
     select
         component,
         diagnosis,
         count(*) as n_alerts,
-        count(*) filter (where outcome in ('confirmed', 'message', 'no_fault_found', 'nothing')) as n_judged,
-        count(*) filter (where outcome in ('confirmed', 'message')) as n_right,
-        count(*) filter (where outcome = 'open') as n_open
+        count(is_right) as n_judged,
+        count(*) filter (where is_right) as n_right,
+        count(is_right) filter (where n_messages > 0) as n_message,
+        count(*) filter (where outcome = 'open') as n_open,
+        component in (select h.component from heard as h) as has_message
     from alert_outcomes
     group by component, diagnosis
 ),
 
 shares as (
     select
-        *,
-        n_alerts - n_judged - n_open as n_unjudged,
-        n_right / nullif(n_judged, 0) as hit_rate,
+        component,
+        diagnosis,
+        n_judged,
+        unnest(['right', 'message']) as kind,
+        unnest([n_right, case when has_message then n_message end]) / nullif(n_judged, 0) as share,
         1.645 * 1.645 / nullif(n_judged, 0) as z2_n
     from counted
 ),
@@ -35,20 +48,26 @@ shares as (
 spans as (
     select
         *,
-        (hit_rate + z2_n / 2) / (1 + z2_n) as middle,
-        sqrt(z2_n * hit_rate * (1 - hit_rate) + z2_n * z2_n / 4) / (1 + z2_n) as half
+        (share + z2_n / 2) / (1 + z2_n) as middle,
+        sqrt(z2_n * share * (1 - share) + z2_n * z2_n / 4) / (1 + z2_n) as half
     from shares
 )
 
 select
-    component,
-    diagnosis,
-    n_alerts,
-    n_judged,
-    n_right,
-    n_open,
-    n_unjudged,
-    hit_rate,
-    greatest(middle - half, 0) as hit_rate_low,
-    least(middle + half, 1) as hit_rate_high
-from spans;
+    c.component,
+    c.diagnosis,
+    c.n_alerts,
+    c.n_judged,
+    c.n_right,
+    c.n_message,
+    c.n_open,
+    c.n_alerts - c.n_judged - c.n_open as n_unjudged,
+    r.share as hit_rate,
+    greatest(r.middle - r.half, 0) as hit_rate_low,
+    least(r.middle + r.half, 1) as hit_rate_high,
+    m.share as message_rate,
+    greatest(m.middle - m.half, 0) as message_rate_low,
+    least(m.middle + m.half, 1) as message_rate_high
+from counted as c
+inner join spans as r on c.component = r.component and c.diagnosis = r.diagnosis and r.kind = 'right'
+inner join spans as m on c.component = m.component and c.diagnosis = m.diagnosis and m.kind = 'message';

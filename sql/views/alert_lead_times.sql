@@ -1,11 +1,12 @@
 -- How long before the aircraft's own message was the alert raised?
--- A case is the first message of a component of a pack since its last replacement; its alert is the first since then
--- that was open at the message or within three days before. Lead is null where no alert came first.
+-- A case is the first message of a component of a pack since its last replacement; its alert is the first for which
+-- alert_outcomes counts that message. Lead is null where no alert came first.
+-- diagnosis: of the alert, as in alerts
 -- n_messages: messages of the case
 -- lead_flights: flights from the alert to the message, that of the message included
 -- lead_days: time from the alert to the message [days]
--- Grain: operator, tail, pack, component, message_time. Reads: alerts, flights, tables.raw_messages,
--- tables.raw_maintenance, tables.components.
+-- Grain: operator, tail, pack, component, message_time. Reads: alert_outcomes, flights, maintenance,
+-- tables.raw_messages, tables.components.
 create or replace view alert_lead_times as
 with messages as (
     select
@@ -28,16 +29,17 @@ placed as (
         m.component,
         m.code,
         m.message_time,
-        max(w.counts_from) as replaced_at
+        max(w.flown_from) as replaced_at
     from messages as m
-    left join tables.raw_maintenance as w
+    left join maintenance as w
         on
             m.operator = w.operator
             and m.tail = w.tail
-            and m.pack = w.pack
+            and m.pack = w.position
             and m.component = w.component
+            and w.in_force
             and w.action = 'REPLACED'
-            and m.message_time >= w.counts_from
+            and m.message_time >= w.flown_from
     group by m.operator, m.tail, m.pack, m.component, m.code, m.message_time
 ),
 
@@ -68,15 +70,13 @@ warned as (
         arg_min(a.alert_id, a.raised_at) as alert_id,
         arg_min(a.diagnosis, a.raised_at) as diagnosis
     from cases as c
-    left join alerts as a
+    left join alert_outcomes as a
         on
             c.operator = a.operator
             and c.tail = a.tail
             and c.pack = a.pack
             and c.component = a.component
-            and c.message_time > a.raised_at
-            and c.message_time <= coalesce(a.closed_at, c.message_time) + interval 3 day
-            and (c.replaced_at is null or c.replaced_at <= a.raised_at)
+            and c.message_time = a.message_at
     group by c.operator, c.tail, c.pack, c.component, c.code, c.message_time, c.n_messages
 ),
 

@@ -1,6 +1,7 @@
 -- What was true of each alert when it was raised, and what is true now?
 -- Now is the pack's last flight or, of a closed alert, the last while it was open. Loss: the one that ends the life of
 -- the alert's component (exchanger: conductance, compressor: efficiency); NULL for doors and sensors.
+-- diagnosis: of the alert, as in alerts
 -- now_departed_at: departure of now_flight_id
 -- raised_loss: loss when raised [-]
 -- raised_loss_sd: its standard deviation [-]

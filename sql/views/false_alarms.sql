@@ -1,4 +1,4 @@
--- Which alerts were closed without a finding, a message or a replacement?
+-- Which alerts were wrong: closed by an inspection that found nothing, or by themselves, without a message?
 -- open_days: from raised to closed [days]
 -- Grain: alert. Reads: alert_outcomes, alerts.
 create or replace view false_alarms as
@@ -16,4 +16,4 @@ select
     a.evidence
 from alerts as a
 inner join alert_outcomes as o on a.alert_id = o.alert_id
-where o.outcome in ('no_fault_found', 'nothing');
+where not o.is_right;

@@ -2,6 +2,8 @@
 -- is_done: the work was done, by its status
 -- in_force: the work counts
 -- position: pack on which the flights show it
+-- is_shown: the flights show that a loss recovered with it; NULL where no loss could
+-- answered_by: reference and day by which messages name it where it answered them; NULL where it does not count
 -- flown_from: flights that depart from then on count as flown after it
 -- matched_by: log (as it is listed), recovery (when and where the flights show that a loss recovered)
 -- note: how it was taken otherwise than listed
@@ -25,7 +27,9 @@ select
     m.*,
     f.msn,
     m.is_done and coalesce(w.in_force, true) as in_force,
+    case when in_force then concat_ws(' of ', m.reference, m.done_on) end as answered_by,
     coalesce(w.position, m.pack) as position,
+    w.is_shown,
     coalesce(w.flown_from, m.counts_from) as flown_from,
     case when w.verdict in ('late', 'elsewhere') then 'recovery' when m.is_done then 'log' end as matched_by,
     case

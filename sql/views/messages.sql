@@ -21,8 +21,7 @@ works as (
         l.component,
         l.end_departed_at,
         l.next_departed_at,
-        w.reference,
-        w.done_on,
+        w.answered_by,
         w.matched_by,
         w.note
     from failures as l
@@ -46,7 +45,7 @@ works as (
 select
     m.*,
     a.msn,
-    case when w.done_on is not null then concat_ws(' of ', w.reference, w.done_on) end as answered_by,
+    w.answered_by,
     w.matched_by,
     w.note
 from tables.raw_messages as m

@@ -44,7 +44,12 @@ ends as (
         m.counts_from as ended_at
     from tables.raw_maintenance as m
     anti join tables.features_work as w
-        on m.operator = w.operator and m.tail = w.tail and m.component = w.component and m.action = w.action
+        on
+            m.operator = w.operator
+            and m.tail = w.tail
+            and m.component = w.component
+            and m.action = w.action
+            and m.counts_from = w.counts_from
     where m.action in ('REPLACED', 'CLEANED') or m.finding = 'NO_FAULT_FOUND'
     union all
     select

@@ -1,6 +1,6 @@
 -- What did each operator's messages, removals and washes cost, and what is to be expected?
--- Events at the figures of costs.toml; components without a figure are left out. All work has the cost of a stop;
--- delays and spares are in no log.
+-- Events at the figures of costs.toml; components without a figure are left out, and those that the operator's flights
+-- and log do not show. All work has the cost of a stop; delays and spares are in no log.
 -- n_flights: flights of the operator's aircraft
 -- n_messages: units whose message came; its repeats until the work count once
 -- n_removals: replacements
@@ -15,7 +15,8 @@
 -- saving_expected: as in realised_savings [currency]
 -- expected_message_cost: of messages before the next chance to act, as in unit_urgencies [currency]
 -- cost_source: costs.toml, or default where a figure of the row is a round one of ours
--- Grain: operator, component. Reads: flights, removal_leads, realised_savings, unit_urgencies, tables.raw_costs.
+-- Grain: operator, component. Reads: flights, health_parameters, removal_leads, realised_savings, unit_urgencies,
+-- tables.raw_costs.
 create or replace view operator_costs as
 with prices as (
     select
@@ -35,6 +36,12 @@ flown as (
         count(*) as n_flights
     from flights
     group by operator
+),
+
+fitted as (
+    select operator, component from health_parameters -- noqa: LT09
+    union
+    select operator, component from removal_leads -- noqa: LT09
 ),
 
 happened as (
@@ -83,7 +90,8 @@ counted as (
         coalesce(h.n_washes, 0) as n_washes,
         coalesce(h.n_needless, 0) as n_needless
     from flown as f
-    cross join prices as p
+    inner join fitted as c on f.operator = c.operator
+    inner join prices as p on c.component = p.component
     left join happened as h on f.operator = h.operator and p.component = h.component
 ),
 

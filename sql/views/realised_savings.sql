@@ -2,26 +2,20 @@
 -- One row a spell of removal_leads that had an alert and then work. Whether a message would have come had the unit
 -- stayed can't be known: saving_at_most takes it as certain, saving_expected as likely as the prognosis before the
 -- work. The cost of the work is not subtracted; delays, spares and consequential damage are in no log.
--- outcome: message (it came before the work: nothing saved), no_message (the work came first), needless (the work came
--- first and found no fault)
+-- outcome: what came of the alert, as in alert_outcomes
 -- p_event_50: chance of a message within 50 flights before the work: median of ten flights, the six before the log's
 -- moment left out [-]
 -- work_cost: of the replacement or wash at the next stop [currency]
 -- message_cost: of one message [currency]
--- saving_at_most: message_cost where the work came first and found a fault or says nothing; else 0 [currency]
+-- saving_at_most: message_cost where the work came before a message and the alert was found or answered; else 0
+-- [currency]
 -- saving_expected: saving_at_most times p_event_50 [currency]
--- needless_cost: work_cost where the outcome is needless, else 0 [currency]
+-- needless_cost: work_cost where no fault was found, else 0 [currency]
 -- cost_source: costs.toml, or default where a figure of the row is a round one of ours
 -- Grain: operator, tail, pack, component, spell (from 0). Reads: removal_leads, prognoses, tables.raw_costs.
 create or replace view realised_savings as
 with answered as (
-    select
-        *,
-        case
-            when first_message_at is not null then 'message'
-            when work_finding = 'NO_FAULT_FOUND' then 'needless'
-            else 'no_message'
-        end as outcome
+    select *
     from removal_leads
     where flights_to_work is not null
 ),
@@ -78,8 +72,10 @@ priced as (
         f.p_event_50,
         w.cost as work_cost,
         m.cost as message_cost,
-        case when a.outcome = 'no_message' then m.cost else m.cost * 0 end as saving_at_most,
-        case when a.outcome = 'needless' then w.cost else w.cost * 0 end as needless_cost,
+        case
+            when a.first_message_at is null and a.outcome in ('found', 'answered') then m.cost else m.cost * 0
+        end as saving_at_most,
+        case when a.outcome = 'no_fault_found' then w.cost else w.cost * 0 end as needless_cost,
         m.currency,
         greatest(w.source, m.source) as cost_source
     from answered as a

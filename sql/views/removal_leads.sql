@@ -1,36 +1,39 @@
 -- How long before its removal, wash or message did each unit's first alert come?
--- A unit's spell runs from one replacement or wash of its component to the next; the last is open. Its alert is the
--- first of its own component raised in the spell. Spells without alert, message and work are left out.
+-- A unit's spell runs from one replacement or wash of its component to the next, as the flights show it; the last is
+-- open. Its alert is the first of its own component raised in the spell that did not recover by itself; one after which
+-- no fault was found only where there is no other. Spells without alert, message and work are left out.
 -- spell: number of the spell of that component in that place, 0 for the one with which the record begins
 -- begins_at: flights from then on belong to the spell; NULL for the first
 -- work_action: REPLACED or CLEANED, what ended the spell; NULL while it is open
 -- work_on: day the log gives for it
--- work_finding: what was found
+-- work_finding: what was found; NO_FAULT_FOUND where that alone
+-- outcome: what came of the alert, as in alert_outcomes
 -- work_at: flights from then on count as flown after the work
 -- serial_off: serial number of the unit that came off, where the log gives it
+-- diagnosis: of the alert, as in alerts
 -- first_raised_at: when the spell's first alert was raised
 -- first_message_at: when the component's first message of the spell was
 -- flights_to_work: flights after the alert's until the work
 -- days_to_work: time from the alert to the work [days]
 -- flights_to_message: flights from the alert to the message, that of the message included
 -- days_to_message: time from the alert to the message; negative where the message came first [days]
--- Grain: operator, tail, pack, component, spell (from 0). Reads: alerts, flights, tables.raw_maintenance,
+-- Grain: operator, tail, pack, component, spell (from 0). Reads: alert_outcomes, flights, maintenance,
 -- tables.raw_messages, tables.components.
 create or replace view removal_leads as
 with work as (
     select
         operator,
         tail,
-        pack,
+        position as pack,
         component,
-        counts_from,
+        flown_from as counts_from,
         max(action) as work_action, -- REPLACED, where both were done
         min(done_on) as work_on,
-        max(finding) as work_finding,
+        coalesce(max(nullif(finding, 'NO_FAULT_FOUND')), max(finding)) as work_finding,
         max(serial_off) as serial_off
-    from tables.raw_maintenance
-    where action in ('REPLACED', 'CLEANED') and pack is not null
-    group by operator, tail, pack, component, counts_from
+    from maintenance
+    where action in ('REPLACED', 'CLEANED') and position is not null and in_force
+    group by operator, tail, position, component, flown_from
 ),
 
 messages as (
@@ -48,7 +51,7 @@ messages as (
 units as (
     select operator, tail, pack, component from work -- noqa: LT09
     union
-    select operator, tail, pack, component from alerts -- noqa: LT09
+    select operator, tail, pack, component from alert_outcomes -- noqa: LT09
     union
     select operator, tail, pack, component from messages -- noqa: LT09
 ),
@@ -78,11 +81,12 @@ alerted as (
         s.pack,
         s.component,
         s.spell,
-        min(a.raised_at) as first_raised_at,
-        arg_min(a.alert_id, a.raised_at) as alert_id,
-        arg_min(a.diagnosis, a.raised_at) as diagnosis
+        a.raised_at as first_raised_at,
+        a.alert_id,
+        a.diagnosis,
+        a.outcome
     from spells as s
-    inner join alerts as a
+    inner join alert_outcomes as a
         on
             s.operator = a.operator
             and s.tail = a.tail
@@ -90,7 +94,12 @@ alerted as (
             and s.component = a.component
             and coalesce(s.begins_at, '-infinity') <= a.raised_at
             and s.counts_from > a.raised_at
-    group by s.operator, s.tail, s.pack, s.component, s.spell
+            and a.outcome != 'recovered'
+    qualify
+        row_number() over (
+            partition by s.operator, s.tail, s.pack, s.component, s.spell
+            order by a.outcome = 'no_fault_found', a.raised_at
+        ) = 1
 ),
 
 messaged as (
@@ -123,6 +132,7 @@ joined as (
         s.begins_at,
         a.alert_id,
         a.diagnosis,
+        a.outcome,
         a.first_raised_at,
         m.first_message_at,
         s.work_action,

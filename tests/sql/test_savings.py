@@ -59,13 +59,13 @@ def test_messages_before_alerts_have_negative_leads_and_work_that_found_nothing_
     columns = "spell, outcome, saving_at_most, saving_expected, needless_cost, currency, cost_source"
     chance = (60 - 10.5) / 100  # flights 45 to 54: the last of them is the seventh before the end of day 60
     assert rows(fleet(), f"select {columns} from realised_savings order by spell") == [
-        (0, "message", 0.0, 0.0, 0.0, "EUR", "costs.toml"),
-        (1, "needless", 0.0, 0.0, 1000.0, "EUR", "costs.toml"),
-        (2, "no_message", 4000.0, pytest.approx(4000 * chance), 0.0, "EUR", "costs.toml"),
+        (0, "found", 0.0, 0.0, 0.0, "EUR", "costs.toml"),
+        (1, "no_fault_found", 0.0, 0.0, 1000.0, "EUR", "costs.toml"),
+        (2, "found", 4000.0, pytest.approx(4000 * chance), 0.0, "EUR", "costs.toml"),
     ]
     con = fleet(raw_costs=[])
     saved = rows(con, "select outcome, saving_at_most, saving_expected from realised_savings where spell = 2")
-    assert saved == [("no_message", None, None)]
+    assert saved == [("found", None, None)]
     assert rows(con, "select * from operator_costs") == []
 
 
@@ -76,9 +76,11 @@ def test_an_operators_costs_are_events_times_prices_or_a_row_of_none_with_our_ow
     total = 2 * 4000.0 + 2 * 1000.0 + 100.0
     assert counts == [DAYS, 2, 2, 1, 1, total, 10 * total, 4000.0]
     assert expected == pytest.approx(4000.0 * 0.99, rel=0.02)
-    con = fleet(raw_flights=[flight(n) for n in range(DAYS)] + [flight(3, tail="Z-1", operator="ZZZ")])
-    query = "select n_flights, n_messages, total_cost, saving_at_most from operator_costs where operator = 'ZZZ'"
-    assert rows(con, query) == [(1, 0, 0.0, 0.0)]
+    other = flight(3, tail="Z-1", operator="ZZZ")
+    flown = {"raw_flights": [flight(n) for n in range(DAYS)] + [other], "twin_health": [fouling(3, 0.1) | other]}
+    con = fleet(**flown, raw_costs=[*PRICES, *(p | {"component": "OIL"} for p in PRICES)])
+    query = "select component, n_flights, n_messages, total_cost from operator_costs where operator = 'ZZZ'"
+    assert rows(con, query) == [("HX", 1, 0, 0.0)]
     con = fleet(raw_costs=[p | ({"source": "default"} if p["item"] == "wash" else {}) for p in PRICES])
     assert rows(con, "select distinct cost_source from operator_costs") == [("default",)]
     assert rows(con, "select spell, cost_source from realised_savings order by spell") == [
@@ -94,7 +96,7 @@ def test_leads_of_the_sample_are_those_counted_in_python(sample_home):
         con.execute("set TimeZone = 'Pacific/Kiritimati'")
         own = "operator, tail, pack, component"
         works = rows(con, f"select {own}, counts_from, action from tables.raw_maintenance where pack is not null")
-        alerts = rows(con, f"select {own}, raised_at, alert_id from alerts")
+        alerts = rows(con, f"select {own}, raised_at, alert_id from alert_outcomes where outcome != 'recovered'")
         codes = dict(rows(con, "select message_code, component from tables.components where message_code is not null"))
         messages = rows(con, "select operator, tail, pack, code, message_time from tables.raw_messages")
         flights = defaultdict(list)

@@ -168,6 +168,7 @@ def truth(units: list[Unit], declared: Declaration) -> dict[str, float]:
         "lead_median": float(np.median(leads)),
         "lead_p10": float(np.quantile(leads, 0.1)),
         "right": float(np.mean(right)),
+        "right_or_answered": float(np.mean(right)),
         "cost_avoided": 1000.0 * hits * (cost.unscheduled_event - cost.scheduled_removal) / flown,
         "cost_caused": 1000.0 * false * cost.false_alarm / flown,
         "coverage": float(np.mean(within)),

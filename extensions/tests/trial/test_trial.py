@@ -30,7 +30,7 @@ class World:
 
     def __init__(self, home, con, monkeypatch):
         self.con, self.home, self.now = con, home, 9
-        self.tables = {"features_alerts": [], "raw_messages": [], "raw_maintenance": []}
+        self.tables = {"features_alerts": [], "raw_messages": [], "raw_maintenance": [], "features_work": []}
         for module in (seal, evaluation):
             monkeypatch.setattr(module, "connect", self.connect)
 
@@ -43,6 +43,7 @@ class World:
             "features_alerts": [a | ends for a, ends in zip(alerts, closed, strict=True)],
             "raw_messages": [m for m in self.tables["raw_messages"] if m["message_time"] <= until],
             "raw_maintenance": [w for w in self.tables["raw_maintenance"] if w["counts_from"] <= until],
+            "features_work": self.tables["features_work"],
             "raw_flights": [flight(n) for n in range(self.now + 1)],
             "prognoses": [prognosis(self.now)],
         }
@@ -110,6 +111,19 @@ def test_a_removal_is_judged_by_its_finding(world, finding, verdict):
     begin(world)
     sealed_through(world, 20, 80)
     assert [a.verdict for a in world.score_alerts().alerts] == [verdict]
+
+
+def test_work_that_shows_a_loss_answers(world):
+    wash = replaced(50, None) | {"action": "CLEANED"}
+    judged = {"verdict": "logged", "in_force": True, "position": 1, "is_shown": True, "flown_from": wash["counts_from"]}
+    world.tables |= {
+        "features_alerts": [alert("one", 20)],
+        "raw_maintenance": [wash],
+        "features_work": [wash | judged | {"known_from": wash["counts_from"]}],
+    }
+    begin(world)
+    sealed_through(world, 20, 80)
+    assert [a.verdict for a in world.score_alerts().alerts] == ["answered"]
 
 
 def test_an_alert_that_is_withdrawn_later_still_counts_and_one_not_flown_on_is_open(world):

@@ -10,12 +10,16 @@ import pytest
 from one_pack import FLIGHTS, START, alerts, departure, features, work
 
 from hdt_core.alerts.alerts import VALUES, trials
+from hdt_core.alerts.answers import alerts_now
 from hdt_core.alerts.cases import Case, Grid
 from hdt_core.alerts.diagnoses import DIAGNOSES, close_after_work
 from hdt_core.alerts.evidence import ROLES
+from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.features import FeaturesAlerts
+from hdt_core.tables.raw import RawMaintenance
 
 NOTHING = work(START).clear()
+NO_LOG = RawMaintenance.create_empty()
 
 
 @pytest.mark.parametrize("late", range(6))
@@ -263,3 +267,49 @@ def test_units_fitted_after_the_alert_do_not_count() -> None:
     (alert,) = alerts(rows, pl.concat(log)).to_dicts()
 
     assert (alert["closed_reason"], alert["units_in_90_days"]) == ("renewed", 2)
+
+
+@pytest.fixture(scope="module")
+def open_alert() -> pl.DataFrame:
+    """One alert of a night without work."""
+    return alerts(features(np.linspace(0.0, 0.35, FLIGHTS)), NOTHING).head(1)
+
+
+def since_night(*moments: datetime, pack: int = 1) -> pl.DataFrame:
+    """Replacements that the night did not have."""
+    log = RawMaintenance.conform(pl.concat([work(moment, timed=True) for moment in moments]))
+    return date_entries(log).with_columns(pack=pl.lit(pack, log.schema["pack"]), since_night=pl.lit(True))
+
+
+@pytest.mark.parametrize(("late_s", "is_closed"), [(0, False), (1, True)])
+def test_only_work_after_the_alert_ends_it(open_alert: pl.DataFrame, late_s: int, is_closed: bool) -> None:
+    done = open_alert["raised_at"][0] + timedelta(seconds=late_s)
+
+    alert = alerts_now(open_alert, NO_LOG, since_night(done))
+
+    assert alert["closed_at"].is_not_null().to_list() == [is_closed]
+
+
+def test_first_work_since_the_night_ends_it(open_alert: pl.DataFrame) -> None:
+    first = open_alert["raised_at"][0] + timedelta(days=1)
+
+    alert = alerts_now(open_alert, NO_LOG, since_night(first + timedelta(days=1), first))
+
+    assert alert["closed_at"].to_list() == [first]
+
+
+def test_later_work_leaves_an_earlier_end(open_alert: pl.DataFrame) -> None:
+    end = open_alert["raised_at"][0] + timedelta(days=1)
+    ended = open_alert.with_columns(closed_at=pl.lit(end, open_alert.schema["closed_at"]))
+
+    alert = alerts_now(ended, NO_LOG, since_night(end + timedelta(days=1)))
+
+    assert alert["closed_at"].to_list() == [end]
+
+
+def test_work_on_the_other_pack_ends_nothing(open_alert: pl.DataFrame) -> None:
+    done = open_alert["raised_at"][0] + timedelta(days=1)
+
+    alert = alerts_now(open_alert, NO_LOG, since_night(done, pack=2))
+
+    assert alert["closed_at"].to_list() == [None]

@@ -27,7 +27,7 @@ def test_fouling_in_figures():
     assert "probability above 0.99" in message
     assert "; 2.1 points more every ten flights" in message
     assert "its last ten flights" not in message
-    assert "its last ten flights alone lie 30 % above" in text(wording.exchanger, gained=0.296)
+    assert "its last ten flights alone lost 30 points more" in text(wording.exchanger, gained=0.296)
     assert "points more every" not in text(wording.exchanger, hx_fouling_slope_30_per_flight=9e-6)
     assert "12 points of it within three flights" in text(wording.clog)
     sure = text(wording.exchanger, hx_fouling=0.07)

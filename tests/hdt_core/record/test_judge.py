@@ -58,7 +58,7 @@ def test_good_flights_are_not_held(n_aircraft, n_days):
         ({"highest_mach": None, "highest_altitude_m": None, "first_altitude_m": None}, None),
         ({"clock_back_s": 3_600, "n_steps_back": 1}, "clock_set_back"),
         ({"clock_back_s": 3_600, "n_steps_back": 20}, None),
-        ({"clock_back_s": 30, "n_steps_back": 1}, None),
+        ({"clock_back_s": 60, "n_steps_back": 1}, None),
     ],
 )
 def test_a_flight_is_judged_by_its_own_record(good, facts, reason):
@@ -199,3 +199,17 @@ def test_the_rest_of_a_split_flight_is_held(pause_min, altitude_m, reason):
     rest = flight("LX-AA0", START + timedelta(minutes=90 + pause_min), 2, 9, first_altitude_m=altitude_m)
 
     assert reasons(judge(listed([first, rest]))).get(rest["flight_id"]) == reason
+
+
+def test_another_operators_tail_is_not_continued():
+    first = flight("LX-AA0", START, 1, last_altitude_m=11_000.0, operator="AQW")
+    rest = flight("LX-AA0", START + timedelta(minutes=95), 2, 9, first_altitude_m=11_000.0)
+
+    assert rest["flight_id"] not in reasons(judge(listed([first, rest])))
+
+
+@pytest.mark.parametrize(("n", "n_held"), [(9, 9), (10, 0)])
+def test_ten_distant_flights_need_a_cause(good, n, n_held):
+    right = nth(good, "LX-AA1", *range(n))
+
+    assert judge(without(good, right), moved(right, "100d")).height == n_held

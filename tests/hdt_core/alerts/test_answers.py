@@ -1,0 +1,96 @@
+"""What work since the night does to its alerts, by the rules of a night."""
+
+import datetime as dt
+
+import polars as pl
+import pytest
+
+from hdt_core.alerts.alerts import SCHEMA
+from hdt_core.alerts.answers import alerts_now
+from hdt_core.tables.raw import RawMaintenance
+
+RAISED = dt.datetime(2024, 5, 1, 6, tzinfo=dt.UTC)
+LATER = RAISED + dt.timedelta(days=5)
+OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
+
+
+def alerts(diagnosis: str, component: str, **more) -> pl.DataFrame:
+    row = OWN | {"alert_id": "a", "diagnosis": diagnosis, "component": component, "raised_at": RAISED} | more
+    return pl.DataFrame([dict.fromkeys(SCHEMA) | row], schema=SCHEMA)
+
+
+def work(component: str, action: str, **more) -> pl.DataFrame:
+    row = OWN | {"component": component, "action": action, "counts_from": LATER, "done_on": LATER.date()} | more
+    return RawMaintenance.conform(pl.DataFrame([row]))
+
+
+def ending(alert: pl.DataFrame, entry: pl.DataFrame) -> tuple:
+    """When and why the alert ends by an entry that the night did not have."""
+    log = entry.with_columns(since_night=pl.lit(True))
+    return alerts_now(alert, entry.clear(), log).select("closed_at", "closed_reason").row(0)
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "component", "action", "reason"),
+    [
+        ("HX_FOULING", "HX", "CLEANED", "renewed"),
+        ("HX_LOW_MARGIN", "HX", "REPLACED", "renewed"),
+        ("CC_DEGRADED", "CC", "CLEANED", None),
+        ("CC_DEGRADED", "CC", "REPLACED", "renewed"),
+        ("SENSOR_FAULT", "SENSOR", "ADJUSTED", "renewed"),
+        ("HX_FOULING", "HX", "INSPECTED", None),
+        ("CAC_DEGRADED", "CAC", "REPLACED", "renewed"),
+    ],
+)
+def test_work_ends_alerts_of_its_part(diagnosis, component, action, reason):
+    assert ending(alerts(diagnosis, component), work(component, action))[1] == reason
+
+
+def test_it_ends_when_the_work_counts():
+    assert ending(alerts("HX_FOULING", "HX"), work("HX", "CLEANED"))[0] == LATER
+
+
+@pytest.mark.parametrize(
+    "other", [{"pack": 2}, {"tail": "T-2"}, {"component": "CC"}, {"counts_from": RAISED - dt.timedelta(days=1)}]
+)
+def test_other_work_ends_nothing(other):
+    assert ending(alerts("HX_FOULING", "HX"), work("HX", "CLEANED").with_columns(**values(other)))[1] is None
+
+
+def values(columns: dict) -> dict:
+    """The values as columns of the types of the maintenance log."""
+    types = RawMaintenance.types()
+    return {name: pl.lit(value).cast(types[name]) for name, value in columns.items()}
+
+
+CLEAN = {"finding": "NO_FAULT_FOUND"}
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "closes", "reason"),
+    [
+        ("HX_FOULING", {}, "found_clean"),
+        ("HX_LOW_MARGIN", {}, None),
+        ("HX_LOW_MARGIN", {"closes_alert_id": "a"}, "found_clean"),
+        ("HX_LOW_MARGIN", {"closes_diagnosis": "HX_LOW_MARGIN"}, "found_clean"),
+        ("HX_LOW_MARGIN", {"closes_diagnosis": "HX_FOULING", "closes_alert_id": "b"}, None),
+    ],
+)
+def test_a_sound_part_ends_what_it_contradicts(diagnosis, closes, reason):
+    assert ending(alerts(diagnosis, "HX"), work("HX", "INSPECTED", **CLEAN, **closes))[1] == reason
+
+
+def test_a_fault_that_was_found_ends_nothing():
+    assert ending(alerts("HX_FOULING", "HX"), work("HX", "INSPECTED", finding="FOULED"))[1] is None
+
+
+def test_a_closing_taken_back_opens_its_alert():
+    closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="renewed")
+    entry = work("HX", "CLEANED")
+    assert alerts_now(closed, entry, entry.clear()).select("closed_at", "closed_reason").row(0) == (None, None)
+
+
+def test_a_recovered_alert_stays_closed():
+    closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="recovered")
+    entry = work("HX", "CLEANED")
+    assert alerts_now(closed, entry, entry.clear())["closed_reason"].to_list() == ["recovered"]
