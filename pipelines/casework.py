@@ -1,4 +1,4 @@
-"""List cases, the last night's alerts with what people did since; check and write what they do by one set of rules."""
+"""List cases, and check and write what people do about them by one set of rules."""
 
 from collections.abc import Callable, Mapping
 from datetime import UTC, date, datetime, time, timedelta
@@ -11,7 +11,7 @@ from hdt_core.alerts.succession import KINDS_OF_NIGHT, WITHDRAW
 from hdt_core.loading import UserError
 from pipelines.storage.cases import FAULTS, NO_FAULT, CaseLog
 from pipelines.storage.catalog import connect, fetch_dicts
-from pipelines.storage.publication import views
+from pipelines.storage.publication import publish_lines
 
 _CODES = {"clean": NO_FAULT} | {code.lower(): code for code in FAULTS}
 """Findings of any part, as people enter them and as the maintenance log has them."""
@@ -81,8 +81,10 @@ def change_case(home: Path, case: Case, kind: str, person: str, last_line: int |
     body = {"note": _text(fields.get("note"), "note")} | (_BODY[kind](case, fields) if kind in _BODY else {})
     state = {column: case[key] for column, key in _STATE_THEN.items()}
     line = {k: v for k, v in (body | state).items() if v is not None}
-    CaseLog(home).append({c: case[c] for c in _ALERT}, kind, _name(person, "by"), line, last_line)
-    return f"{case['diagnosis']} of {case['tail']} pack {case['pack']}: {_effect(kind, body)}"
+    alert = {c: case[c] for c in _ALERT} | {"operator": case["key_operator"], "tail": case["key_tail"]}
+    CaseLog(home).append(alert, kind, _name(person, "by"), line, last_line)
+    publish_lines(home)
+    return f"{case['operator']} {case['tail']} pack {case['pack']}: {_effect(kind, body)}"
 
 
 def _assign(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -182,17 +184,28 @@ _EFFECTS = {
 def _effect(kind: str, body: Mapping[str, Any]) -> str:
     if kind != "close":
         return _EFFECTS[kind].format_map(body)
-    head = f"{body['finding']}, {body['action'].lower()} on {body['done_on']}."
+    finding = body["finding"].lower().replace("_", " ")
+    head = f"{finding}, {body['action'].lower()} on {body['done_on']}."
     if body["action"] != "INSPECTED":
-        return f"{head} The next night closes the alert and restarts the part's estimate from its first flight."
+        return f"{head} The alert is closed; the next night estimates the part anew from its first flight."
     if body["finding"] == NO_FAULT:
-        return f"{head} The next night closes the alert as found clean; a further loss is then raised as a sensor case."
-    return f"{head} It stays open, confirmed, until the part is cleaned or replaced; the next night counts it as a hit."
+        return f"{head} The alert is closed as found clean; a further loss is raised as a sensor case."
+    return f"{head} It stays open, confirmed, until the part is cleaned or replaced."
 
 
 OPEN = "state != 'closed'"
-_LIVE = ("alert_cases", "cases")
-"""Views of the log of cases, the second of the first."""
+_CASES = """
+    with known as (select alert_id, list(known_as) as names from alert_cases group by alert_id)
+    select
+        c.*, s.sensor, s.now_loss, s.now_p_event_50, s.evidence_now, s.recommended_action, s.follows, k.names,
+        coalesce(s.closed_at, s.now_departed_at) as open_until,
+        coalesce(n.key_operator, c.operator) as key_operator, coalesce(n.key_tail, c.tail) as key_tail
+    from cases as c
+    join alert_states as s using (alert_id)
+    join known as k using (alert_id)
+    left join open_alerts as o using (alert_id)
+    left join (select distinct present_operator, present_tail, key_operator, key_tail from tables.names) as n
+        on c.operator = n.present_operator and c.tail = n.present_tail"""
 
 
 def list_cases(home: Path, where: str = OPEN, **values: Any) -> list[dict[str, Any]]:
@@ -208,26 +221,10 @@ def list_cases(home: Path, where: str = OPEN, **values: Any) -> list[dict[str, A
     values : Any
         Values of its `$name` places.
     """
-    live = ", ".join(f"{name} as ({_query_of(name)})" for name in _LIVE)
+    publish_lines(home)
     with connect(home) as con:
-        con.register("case_log_rows", CaseLog(home).entries().to_arrow())
-        result = con.execute(
-            f"""with {live}, known as (select alert_id, list(known_as) as names from alert_cases group by alert_id)
-            select c.*, s.sensor, s.now_loss, s.now_p_event_50, s.evidence_now, s.recommended_action, s.follows,
-            k.names, coalesce(s.closed_at, s.now_departed_at) as open_until
-            from cases as c
-            join alert_states as s using (alert_id) join known as k using (alert_id)
-            left join open_alerts as o using (alert_id)
-            where {where} order by o.place nulls last, c.raised_at, c.alert_id""",
-            values,
-        )
-        return fetch_dicts(result)
-
-
-def _query_of(view: str) -> str:
-    """Return a view's query, over the log of cases as it is now."""
-    query = views()[view].partition(f"create or replace view {view} as")[2].strip().removesuffix(";")
-    return query.replace("tables.raw_cases", "case_log_rows")
+        query = f"{_CASES} where {where} order by o.place nulls last, c.raised_at, c.alert_id"
+        return fetch_dicts(con.execute(query, values))
 
 
 NAMED = "c.alert_id in (select alert_id from alert_cases where known_as = $id)"

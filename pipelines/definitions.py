@@ -13,10 +13,10 @@ import dagster as dg
 
 from dagster_batched.runs import batch_events
 from hdt_core.loading import UserError
-from pipelines.assets import asset_definitions
+from pipelines.assets import asset_definitions, write_home_report
 from pipelines.assets.stage import SENSORS
 from pipelines.intake.scan import list_new_files
-from pipelines.orchestration.around_night import find_home_fault, find_landing_fault, lock_home
+from pipelines.orchestration.around_night import find_home_fault, find_landing_fault, lock_home, notify_failure
 from pipelines.orchestration.nightly import complete_night
 from pipelines.resources import Home
 from pipelines.storage.files import narrow_umask
@@ -41,7 +41,7 @@ class _Log:
 
 @dg.op
 def run_nightly_chain(context: dg.OpExecutionContext, home: Home) -> None:
-    """Run everything `hdt nightly` does; its runs, one a range of cells, are listed beside this one."""
+    """Run all that `hdt nightly` does, then write the report; its runs, by ranges of cells, are listed beside this."""
     home_path = Path(home.home)
     if fault := find_landing_fault(Path(home.landing)):
         raise dg.Failure(fault)
@@ -49,6 +49,8 @@ def run_nightly_chain(context: dg.OpExecutionContext, home: Home) -> None:
         night, _ = complete_night(Path(home.landing), home_path, _Log(context.log), parent_run=context)
     for line in night.failed_deliveries:
         context.log.warning(line)
+    write_home_report(home_path)
+    context.log_event(dg.AssetMaterialization("report"))
     context.add_output_metadata({"new_files": night.new_files, "cells": night.cells, "runs": night.runs})
     if night.failed or night.failed_hooks:
         failed = (f"{home_path}: {why}" for home_path, why in night.failed.items())
@@ -90,9 +92,18 @@ def landing_zone(context: dg.SensorEvaluationContext, home: Home) -> Iterator[dg
         yield dg.RunRequest(run_key=digest(*sorted(f"{f.path} {f.size} {f.mtime_ns}" for f in new_files)))
 
 
+@dg.run_failure_sensor(monitored_jobs=[nightly], description="Sends receivers of notify.toml why a night failed.")
+def failed_night(context: dg.RunFailureSensorContext, home: Home) -> None:
+    """Send the error of each failed step, else the run's."""
+    errors = [event.step_failure_data.error for event in context.get_step_failure_events()]
+    reasons = [error.message.strip() for error in errors if error] or [str(context.failure_event.message)]
+    for line in notify_failure(Path(home.home), reasons):
+        context.log.warning(line)
+
+
 def build_defs(*, landing: str | Path, home: str | Path, **overrides: Any) -> dg.Definitions:
     """Build the whole location over one landing zone and one home; `overrides` replace resources by name."""
-    sensors = [landing_zone, *SENSORS]
+    sensors = [landing_zone, failed_night, *SENSORS]
     return asset_definitions(landing, home, overrides, jobs=[nightly], schedules=[every_night], sensors=sensors)
 
 

@@ -129,6 +129,8 @@ def declare_stage(
     return Stage(name, group, of_tables, untracked, fresh, label, batch_factor)
 
 
+_PROGNOSED = ("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance")
+
 STAGES = (
     Stage("raw_fleet", "raw", {
         **dict.fromkeys(
@@ -209,18 +211,18 @@ STAGES = (
         ), code="9", fresh="features",
     ),
     declare_stage(
-        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="23",
+        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="25",
     ),
     declare_stage(  # after the alerts, whose stage notes in the log which case goes on with which of them
         "raw_cases", "features", "raw_cases", parents=("features_alerts",), files=("cases",), code="2",
     ),
     declare_stage("declared_components", "raw", "components", code=f"2 {DECLARED}"),
     declare_stage("prognosis_base", "prognosis", "prognosis_base", code="4", label="prognosis"),
-    declare_stage(  # a model is stored with its scored flights, so prognoses come first: a kill between costs only work
-        "prognosis", "prognosis", "prognoses", "prognosis_model", "prognosis_lives",
-        parents=("features", "features_margin", "prognosis_base", "raw_messages", "raw_maintenance"),
-        code="13", fresh="prognoses",
-    ),
+    # a model is stored with its scored flights, so prognoses come first: a kill between costs only work
+    Stage("prognosis", "prognosis", {
+        **dict.fromkeys(("prognoses", "prognosis_model", "prognosis_lives"), Recipe(parents=_PROGNOSED, code="13")),
+        "prognosis_choices": Recipe(parents=_PROGNOSED),
+    }, fresh="prognoses"),
 )  # fmt: skip
 
 STAGE = {stage.name: stage for stage in STAGES}

@@ -39,7 +39,7 @@ def close(
 ) -> None:
     """Close an alert with a finding.
 
-    The finding is recorded at once; the next night treats it as an entry of the maintenance log.
+    It counts at once in every output; the next night treats it as an entry of the maintenance log.
     """
     _change(home, alert, "close", by, finding=finding, action=action, on=on, reference=reference, note=note)
 
@@ -94,7 +94,7 @@ def reopen(
     _change(home, alert, "reopen", by, note=note)
 
 
-State = Literal["new", "acknowledged", "muted", "worsened", "confirmed", "answered", "closed"]
+State = Literal["new", "acknowledged", "muted", "worsened", "confirmed", "closed"]
 
 
 @case.command("list")
@@ -107,9 +107,11 @@ def list_(
     """List the open cases, the most urgent first."""
     from pipelines.casework import OPEN, list_cases
     from pipelines.report import words
+    from pipelines.report.rows import rows_of
 
     where, values = ("state = $state", {"state": state}) if state else ("true" if every else OPEN, {})
-    rows = list_cases(home_folder(home), where, **values)
+    folder = home_folder(home)
+    rows = list_cases(folder, where, **values)
     if as_json:
         out.print_json(json.dumps(rows, default=str))
         return
@@ -117,16 +119,19 @@ def list_(
     for name in ("alert", "unit", "diagnosis", "severity", "state", "owner"):
         table.add_column(name, no_wrap=name not in {"unit", "diagnosis", "state", "owner"})
     for r in rows:
-        unit = f"{r['operator']} {words.unit_name(r)}"
-        labels = (unit, words.diagnosis(r["diagnosis"]), r["severity"], _state(r), r["owner"] or "")
+        name = f"{r['operator']} {words.unit_name(r)}"
+        labels = (name, words.diagnosis(r["diagnosis"]), r["severity"], _state(r), r["owner"] or "")
         table.add_row(r["case_id"][:8], *labels)
+    for unit in rows_of(folder):
+        if state is None and unit.needs_work and unit["alert_id"] is None:
+            table.add_row("", unit.name(), unit.to_do(), "", "no alert", "")
     out.print(table, soft_wrap=False)
 
 
 def _state(row: Mapping[str, Any]) -> str:
     if row["state"] == "muted":
         return f"muted until {row['muted_until'].date()}"
-    finding = row["finding"] if row["state"] in {"answered", "confirmed"} else None
+    finding = row["finding"] if row["state"] == "confirmed" else None
     return f"{row['state']} ({finding.lower().replace('_', ' ')})" if finding else str(row["state"])
 
 

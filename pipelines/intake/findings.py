@@ -1,60 +1,25 @@
-"""Read what the home adds to the delivered files: findings of closed alerts, and costs of a stop, part and message.
+"""Read what the home adds to the delivered files: lines of the log of cases, and costs of a stop, part and message.
 
 The costs are those of `costs.toml` over defaults: round figures to be replaced, from no operator's books; the column
 `source` distinguishes them.
 """
 
 from collections.abc import Iterator, Mapping
-from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from hdt_core.alerts.answers import work_from_cases
 from hdt_core.alerts.succession import KINDS_OF_NIGHT
 from hdt_core.components import components
 from hdt_core.loading import parse_toml, read_text
-from hdt_core.records.keys import PACK
 from hdt_core.tables import TABLES
-from hdt_core.tables.raw import CLOSES
 from pipelines.intake.faults import Fault
 from pipelines.versions import digest
 
 CASES, FINDINGS = "cases", "findings"
 """Kinds in the ledger of an aircraft's lines in the log of cases: all of them, and the work in them."""
-LOG, CASE = "log", "case"
-SAME_WORK = timedelta(days=3)
-"""Largest distance of a line of the log and a finding about the same work: a log is some flights late."""
-
-
-def work_from_cases(cases: pl.DataFrame) -> pl.DataFrame:
-    """Convert rows of `raw_cases` to `raw_maintenance`: of each case the last closing, unless it was reopened."""
-    last = cases.filter(pl.col("kind").is_in(["close", "reopen"])).sort("line").unique("case_id", keep="last")
-    closings = last.filter(pl.col("kind") == "close").with_columns(source=pl.lit(CASE), **CLOSES)
-    return TABLES["raw_maintenance"].schema.conform(closings.sort("line"))
-
-
-def with_findings(log: pl.DataFrame, cases: pl.DataFrame) -> pl.DataFrame:
-    """Add engineers' findings to the maintenance log; work in both is listed once, as in the log.
-
-    Parameters
-    ----------
-    log : DataFrame
-        Rows of `raw_maintenance` whose source is the log.
-    cases : DataFrame
-        Rows of `raw_cases` of the same aircraft.
-    """
-    schema, work = TABLES["raw_maintenance"].schema, work_from_cases(cases)
-    rows = schema.conform(log).drop(*CLOSES).with_columns(source=pl.lit(LOG)).with_row_index("n")
-    pairs = work.join(rows, on=[*PACK, "component", "action"], suffix="_log", validate="m:m").filter(
-        (pl.col("done_on") - pl.col("done_on_log")).abs() <= SAME_WORK
-    )
-    matches = pairs.unique("n", keep="last").select("n", *CLOSES, case_finding="finding")
-    rows = rows.join(matches, on="n", how="left", maintain_order="left", validate="m:1").with_columns(
-        finding=pl.coalesce("finding", "case_finding")
-    )
-    work_of_cases_alone = work.join(pairs, on="closes_alert_id", how="anti", maintain_order="left")
-    return pl.concat([schema.conform(rows), work_of_cases_alone])
 
 
 def case_files(cases: pl.DataFrame) -> list[tuple[str, str, str, str, int, int, str]]:

@@ -244,7 +244,7 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
         return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
                 *serials, status or None, file.path)  # fmt: skip
 
-    no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", *CLOSES))
+    no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", "since_night", *CLOSES))
     contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=(*SERIALS, STATUS))
     log = _read_log(file, no_work, lambda content: parse_list(content, contract, validate, "done_on"))
     log = replace(log, due_at=min(later, default=None))

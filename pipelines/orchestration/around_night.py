@@ -4,7 +4,7 @@ import fcntl
 import glob
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -110,6 +110,31 @@ def call_hooks(home: Path) -> tuple[dict[str, str | None], tuple[str, ...]]:
         except Exception as error:
             failed.append(f"{point.name}: {error}")
     return results, tuple(failed)
+
+
+@contextmanager
+def report_failure(home: Path, report: Callable[[str], None]) -> Iterator[None]:
+    """Send receivers the error that ends the block; `report` takes a line for each that was not reached."""
+    try:
+        yield
+    except Exception as error:
+        for line in notify_failure(home, [str(error) or type(error).__name__]):
+            report(line)
+        raise
+
+
+def notify_failure(home: Path, reasons: Iterable[str]) -> list[str]:
+    """Send receivers why a night failed; return a line for each that was not reached."""
+    if not os.path.lexists(notify_file(home)):
+        return []
+    from pipelines.digest.delivery import send_failure
+
+    causes = list(reasons)
+    try:
+        return send_failure(home, causes)
+    except UserError as error:
+        is_cause = str(error) in causes  # a wrong declaration of receivers, which is reported as why the night failed
+        return [] if is_cause else [f"no message of the failed night was sent: {error}"]
 
 
 def notify_receivers(home: Path) -> tuple[str, ...]:

@@ -121,9 +121,10 @@ class CaseLog:
             con.execute(_ADD, (number, at, *own, kind, person, _text(content)))
         return int(number)
 
-    def last_line(self) -> int:
-        """Return the number of the last line, 0 where there is none."""
-        return max((line["line"] for line in self._lines()), default=0)
+    def version(self) -> str:
+        """Return what differs after another line; empty where there is none."""
+        lines = self._lines()
+        return f"{len(lines)} {lines[-1]['id']}" if lines else ""
 
     def entries(self) -> pl.DataFrame:
         """Read all lines as rows of `raw_cases`, in order."""

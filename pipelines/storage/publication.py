@@ -5,11 +5,13 @@ copied or mounted elsewhere with its catalog unchanged. The rows of a few views 
 view would be planned over two hundred Parquet readers, a second of processor before the first row.
 """
 
+import fcntl
 import re
 import shutil
 import sys
 from collections import ChainMap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from graphlib import TopologicalSorter
@@ -20,6 +22,7 @@ import dataframely as dy
 import duckdb
 
 from hdt_core.tables import TABLES
+from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, nights_of, open_catalog, open_database, quote, restrict
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import hash_of, replacing
@@ -36,6 +39,7 @@ from pipelines.storage.naming import (
 )
 from pipelines.storage.objects import StoreError, message_of
 from pipelines.storage.seal import copy_ledger, find_night, remove_expired_daily, write_seal
+from pipelines.storage.since_night import LIVE, create_live_view, live_select, prepare_since, store_since
 from pipelines.storage.store import EMPTY, Store
 
 _COLUMN = re.compile(r"^([a-z][a-z0-9_]*): (.*)")
@@ -115,8 +119,8 @@ case
     else {{published}}
 end"""
 STORED = (
-    "flight_rates", "unobserved_units", "last_prognoses", "check_chances", "alert_urgencies", "alert_states",
-    "fleet_ranking", "component_ranking", "next_stop",
+    "flight_rates", "unobserved_units", "last_prognoses", "check_chances", "unit_urgencies", "alert_urgencies",
+    "alert_states", "fleet_ranking", "component_ranking", "next_stop", "alert_outcomes", "removal_leads",
 )  # fmt: skip
 """Views whose rows are stored when the catalog is published: a row a unit or alert, and none depends on the hour."""
 _ANOTHER_PLACE = "it was made for another place"
@@ -124,7 +128,7 @@ _BY_VARIABLE = "coalesce(getvariable('tables_folder'), {published})"
 
 
 def publish(home: Path) -> Path:
-    """Bring `<home>/catalog.duckdb` up to date. Readers of the old file keep it; there is no lock between them.
+    """Bring `<home>/catalog.duckdb` up to date. Readers of the old file keep it; writers of it take turns.
 
     The last catalog's views are copied where it is whole and of this version, also in a home that was moved; only the
     files they read are new.
@@ -134,28 +138,86 @@ def publish(home: Path) -> Path:
     DamageError
         A file that a view reads is not what was written, and DuckDB can't open it.
     """
-    store, path = Store(home.resolve()), home.resolve() / CATALOG
+    store = Store(home.resolve())
     ledger = Ledger(store.home)
+    tables = store.snapshot()
     nights = {"made_by": ledger.next_night(), "made_after": ledger.last_night()}
-    reuse = _is_as_published(path) and _find_form_fault(home) in (None, _ANOTHER_PLACE)
+    with _turn(store.home):
+        _write_catalog(store, tables, nights)
+    remove_expired_daily(store, ledger)
+    write_seal(store, {table: files for table, (_, files) in tables.items()})
+    versions = {table: version for table, (version, _) in tables.items()}
+    ledger.note_snapshot(versions, nights["made_by"])  # a snapshot implies that there is a seal
+    copy_ledger(ledger)
+    return store.home / CATALOG
+
+
+def _write_catalog(store: Store, tables: Tables, nights: Mapping[str, str]) -> None:
+    path = store.home / CATALOG
+    reuse = _is_as_published(path) and _find_form_fault(store.home) in (None, _ANOTHER_PLACE)
     names = read_names(store)
-    reuse = reuse and _names_in(home) == names
+    reuse = reuse and _names_in(store.home) == names
     sys.audit("hdt.before_publish")
+    with _replacing_catalog(store, tables, from_last=reuse) as con:
+        changed = update_files(con, store, tables, names) if reuse else create_views(con, store, tables, names, STORED)
+        _set_macros(con, nights)
+        store_since(con, CaseLog(store.home))
+        _comment_live(con)
+        _store_rows(con, store, tables, {*changed, *LIVE})
+
+
+def publish_lines(home: Path) -> None:
+    """Bring the catalog up to date with the log of cases: the lines since the last night and what follows from them.
+
+    A night may run meanwhile; its tables are not read. Nothing is done where the catalog has all lines, or is not as a
+    night published it: the next night then makes it anew.
+    """
+    store = Store(home.resolve())
+    log = CaseLog(store.home)
+    if _log_version_in(store.home) == log.version():
+        return
+    with _turn(store.home):
+        is_sound = _is_as_published(store.home / CATALOG) and _find_form_fault(store.home) in (None, _ANOTHER_PLACE)
+        if not is_sound:
+            return
+        with _replacing_catalog(store, {}, from_last=True) as con:
+            con.execute(f"set variable tables_folder = {quote(f'{store.place.url}/')}")
+            store_since(con, log)
+            _comment_live(con)
+            _store_rows(con, store, {}, set(LIVE))
+
+
+def _log_version_in(home: Path) -> str | None:
+    """Return the version of the log of cases that the catalog has; None in one of an earlier version."""
+    with open_catalog(home) as con:
+        try:
+            ((version,),) = con.execute("select tables.log_version()").fetchall()
+        except duckdb.CatalogException:
+            return None
+    return str(version)
+
+
+@contextmanager
+def _turn(home: Path) -> Iterator[None]:
+    """Let one process at a time write the catalog."""
+    with open(home / ".publishing", "a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@contextmanager
+def _replacing_catalog(store: Store, tables: Tables, *, from_last: bool) -> Iterator[duckdb.DuckDBPyConnection]:
+    """Open the next catalog to write, a copy of the last or an empty one; at the end it replaces the last."""
+    path = store.home / CATALOG
     with replacing(path) as temporary:
-        if reuse:
+        if from_last:
             shutil.copyfile(path, temporary)
-        tables, con = store.snapshot(), open_database(temporary)
+        con = open_database(temporary)
         try:
             store.allow_reads(con)
             con.execute("set TimeZone = 'UTC'")  # as readers have it
             con.begin()  # a commit for every comment would take longer than all the rest
-            changed = (
-                update_files(con, store, tables, names) if reuse else create_views(con, store, tables, names, STORED)
-            )
-            _set_macros(con, nights)
-            if changed:
-                con.execute(f"set schema = '{SCHEMA if names else 'main'}'")
-                _store_rows(con, store, tables, changed)
+            yield con
             con.commit()
         except duckdb.Error:
             for file in (file for _, files in tables.values() for file in files):
@@ -165,12 +227,6 @@ def publish(home: Path) -> Path:
             con.close()
         content_hash = hash_of(temporary.read_bytes())
     (path.parent / HASH).write_text(content_hash)  # after a kill before this line the next catalog is built anew
-    remove_expired_daily(store, ledger)
-    write_seal(store, {table: files for table, (_, files) in tables.items()})
-    versions = {table: version for table, (version, _) in tables.items()}
-    ledger.note_snapshot(versions, nights["made_by"])  # a snapshot implies that there is a seal
-    copy_ledger(ledger)
-    return path
 
 
 def connect_as_of(home: Path, night: str, *, as_delivered: bool = False) -> duckdb.DuckDBPyConnection:
@@ -199,7 +255,8 @@ def connect_as_of(home: Path, night: str, *, as_delivered: bool = False) -> duck
     con = duckdb.connect(":memory:")
     store.allow_reads(con)
     names = read_names(store)
-    create_views(con, store, tables, names)
+    create_views(con, store, tables, names, STORED)
+    fill_stored(con)
     restrict(con, store, f"{store.place.url}/")
     if names and not as_delivered:
         con.execute(f"set schema = '{SCHEMA}'")
@@ -228,7 +285,9 @@ def create_views(
     con.execute("create schema tables")
     con.execute("create table tables.files (path varchar)")
     con.execute("comment on column tables.files.path is 'a file that the views read, below the tables'' folder'")
+    prepare_since(con)
     changed = update_files(con, store, tables, names)
+    _comment_live(con)
     add_named_views(con, names, stored)
     return changed
 
@@ -266,6 +325,7 @@ def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, n
     for table, files in files_of.items():
         places = f"list_transform([{files}], lambda file: tables.folder() || file)"
         select = f"select * from read_parquet({places}, union_by_name = true, hive_partitioning = false)"
+        select = create_live_view(con, table, select) if table in LIVE else select
         con.execute(f"create or replace view tables.{table} as {with_present_names(select, table, names)}")
         add_meanings(con, table)
     return changed
@@ -277,16 +337,28 @@ def _set_macros(con: duckdb.DuckDBPyConnection, texts: Mapping[str, str]) -> Non
 
 
 def _store_rows(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, changed: set[str]) -> None:
-    """Store the rows of the views of `STORED` that some table of `changed` reaches, from files that are checked."""
+    """Store the rows of the views of `STORED` that some table of `changed` reaches, from files that are checked.
+
+    Files are those of `tables`; a table that it lacks is not checked.
+    """
     sources = {name: header.sources for name, header in view_headers().items()}
     read = {name: _tables_below(name, sources) for name in sources if name in STORED}
     stale = [name for name in read if read[name] & changed]
     for table in sorted(set[str]().union(*(read[name] for name in stale))):
-        for file in tables[table][1]:
+        for file in tables[table][1] if table in tables else ():
             store.tables.verify(file)
-    for name in stale:
-        select = views()[name].partition(f"create or replace view {name} as")[2]
-        con.execute(f"delete from tables.{name}; insert into tables.{name} {select}")
+    fill_stored(con, stale)
+
+
+def fill_stored(con: duckdb.DuckDBPyConnection, names: Collection[str] = STORED) -> None:
+    """Store the rows of these views of `STORED` in a catalog, each after those that it reads."""
+    if con.execute("from duckdb_schemas() where schema_name = $name", {"name": SCHEMA}).fetchall():
+        con.execute(f"set schema = '{SCHEMA}'")
+    for name, sql in views().items():
+        if name in names:
+            select = sql.partition(f"create or replace view {name} as")[2]
+            con.execute(f"delete from tables.{name}; insert into tables.{name} {select}")
+    con.execute("set schema = 'main'")
 
 
 def _tables_below(view: str, sources: Mapping[str, Collection[str]]) -> set[str]:
@@ -343,7 +415,7 @@ def _recipe_hash() -> str:
         for table, t in TABLES.items()
         for name, column in t.schema.columns().items()
     ]
-    texts = [*STORED, *(sql for _, sql in sorted(views().items())), *columns]
+    texts = [*STORED, *map(live_select, LIVE), *(sql for _, sql in sorted(views().items())), *columns]
     return hash_of("\n".join(texts).encode())
 
 
@@ -374,6 +446,13 @@ def _comment_views(con: duckdb.DuckDBPyConnection, stored: Collection[str] = ())
     for view, columns in columns_of(con).items():
         for place in (view, f"tables.{view}") if view in stored else (view,):
             _comment(con, place, {c: meanings[view].get(c, "") for c in columns})
+
+
+def _comment_live(con: duckdb.DuckDBPyConnection) -> None:
+    """Comment the parts that the tables of `LIVE` are made of."""
+    for table in LIVE:
+        for part in (f"{table}_of_night", f"{table}_since"):
+            _comment(con, f"tables.{part}", MEANINGS[table])
 
 
 def tables_read() -> list[str]:

@@ -68,7 +68,8 @@ def application(home: Path, names: Collection[str], sign_in: SignIn) -> Guard:
 
 @lru_cache(maxsize=1)
 def _shift_of(home: Path, _version: tuple[int, int]) -> tuple[dict[str, Any], Digest]:
-    return tonight_with_cards(read_facts(home, units_only=True), alert_limits(home).fouling), changes_since(home)
+    facts = read_facts(home, units_only=True)
+    return tonight_with_cards(facts, alert_limits(home).fouling) | {"dates": facts.dates}, changes_since(home)
 
 
 def _read_shift(home: Path) -> tuple[dict[str, Any], Digest]:
@@ -122,8 +123,9 @@ class Casebook:
         rows = [r for r in table["rows"] if person.may_read(r["operator"])]
         changes = [digest.of(o) for o in person.operators or (None,)] if digest.since else []
         return self._page(
-            request, "cases.html", title="Cases", cases=cases, every=every, rows=rows, ticks=table["ticks"],
-            links=_links(rows, cases), changes=[group for own_changes in changes for group in lines(own_changes)],
+            request, "cases.html", title="Cases", dates=table["dates"], cases=cases, every=every, rows=rows,
+            ticks=table["ticks"], links=_links(rows, cases),
+            changes=[group for own_changes in changes for group in lines(own_changes)],
         )  # fmt: skip
 
     async def unit(self, request: Request) -> Response:

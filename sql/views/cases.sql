@@ -1,8 +1,7 @@
 -- How does each alert's case stand: who has it in hand, until when is it muted, what was found?
--- As of the last night; `hdt case list` and `hdt serve` show entries since then, too.
--- state: closed; answered (found clean or renewed: the next night closes it); confirmed (a fault, not mended yet);
--- muted; worsened (muted, but a class of severity, 0.05 of loss or 0.2 of the chance of an event within 50 flights
--- worse); acknowledged; new
+-- alert_id: its alert
+-- state: closed; confirmed (a fault, not mended yet); muted; worsened (muted, but a class of severity, 0.05 of loss or
+-- 0.2 of the chance of an event within 50 flights worse); acknowledged; new
 -- owner: to whom it was assigned last
 -- acknowledged_by: who acknowledged it first
 -- muted_until: until when it is muted, where it was not taken back
@@ -115,7 +114,6 @@ select
     * exclude (worse),
     case
         when closed_at is not null then 'closed'
-        when work in ('REPLACED', 'CLEANED', 'ADJUSTED') or finding = 'NO_FAULT_FOUND' then 'answered'
         when finding is not null then 'confirmed'
         when muted_until > now() and worse then 'worsened'
         when muted_until > now() then 'muted'

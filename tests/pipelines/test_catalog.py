@@ -57,6 +57,13 @@ def test_health_parameters_hold_what_the_contract_names(con):
     assert con.execute(silent).fetchone()[0] == 0
 
 
+def test_answered_messages_name_a_line_of_the_log(con):
+    keys = "select distinct operator, tail, answered_by from {} where answered_by is not null"
+    named, lines = (set(con.execute(keys.format(view)).fetchall()) for view in ("messages", "maintenance"))
+
+    assert set() < named <= lines
+
+
 COUNT = "select count(*) from flights"
 
 

@@ -45,7 +45,7 @@ def test_there_is_an_asset_for_every_declared_table_behind_all_that_it_is_made_f
     assert set(TABLES) == set(LINEAGE)
     assert {s.group_name for s in specs.values()} == GROUPS
     read = {d.asset_key.path[-1] for d in specs["report"].deps}
-    assert {"fleet_ranking", "alert_states", "quarantine"} <= read < set(views())
+    assert {"unit_rows", "alert_states", "quarantine"} <= read < set(views())
     for table, recipe in LINEAGE.items():
         upstream = {d.asset_key.path[-1] for d in specs[table].deps}
         stems = {u.split("_")[0] for u in upstream}
@@ -86,9 +86,24 @@ def test_every_asset_has_a_blocking_check_and_schedule_and_sensor_are_off(defs):
     repository = defs.get_repository_def()
     assert [s.name for s in repository.schedule_defs] == ["every_night"]
     sensors = {s.name: s.default_status for s in repository.sensor_defs}
-    assert set(sensors) == {"landing_zone", "publish_what_is_newer", "make_what_follows"}
+    assert set(sensors) == {"landing_zone", "failed_night", "publish_what_is_newer", "make_what_follows"}
     assert set(sensors.values()) == {dg.DefaultSensorStatus.STOPPED}
     assert repository.schedule_defs[0].default_status == dg.DefaultScheduleStatus.STOPPED
+
+
+def test_failed_run_is_sent_to_receivers(tmp_path):
+    (tmp_path / "notify.toml").write_text('[[receiver]]\nname = "all"\nkind = "file"\nfolder = "out"\n')
+    home = Home(landing=str(tmp_path / "none"), home=str(tmp_path))
+    with dg.DagsterInstance.ephemeral() as instance:
+        job = build_defs(landing=home.landing, home=tmp_path).resolve_job_def("nightly")
+        run = job.execute_in_process(instance=instance, raise_on_error=False)
+        (event,) = [e for e in run.all_events if e.is_run_failure]
+        context = dg.build_run_status_sensor_context("failed_night", event, instance, run.dagster_run)
+
+        definitions.failed_night(context.for_run_failure(), home=home)
+
+    (page,) = (tmp_path / "out").glob("*.txt")
+    assert "no landing zone at" in page.read_text()
 
 
 def test_an_account_that_does_not_balance_blocks():
@@ -129,6 +144,7 @@ def test_the_job_does_what_the_command_does_and_its_runs_say_who_launched_it(own
         by_command = {run.run_id: run.tags for run in instance.get_runs()}
         done = job.execute_in_process(instance=instance, tags=scheduled)
         assert done.success
+        assert (home / "report.html").exists()
         tags = {run.run_id: run.tags for run in instance.get_runs() if run.run_id not in {*by_command, done.run_id}}
         assert tags
         for own in tags.values():

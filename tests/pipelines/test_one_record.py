@@ -13,6 +13,8 @@ from pipelines.storage.catalog import connect
 NIGHTS = ("20240401", "20240501", "20240601", "20250101")
 """Each sees what had come before that day; on the first the commissioning windows are not flown yet."""
 KEY = ["operator", "tail", "flight_id", "pack", "component"]
+OF_TONIGHT = {"open_alerts", "tables.prognosis_choices"}
+"""Views and tables whose rows are of each unit's last flight, or of what is open after it."""
 AT_HOME = {"tables.prognosis_model": ["service"]}
 
 
@@ -98,7 +100,7 @@ def test_what_a_night_left_stands(nights, at_once):
     by_night, compared = {}, set()
     for end in settled:
         for name, whole in at_once.items():
-            day = _day_of_row(name, whole) if name != "open_alerts" else None  # those of tonight
+            day = None if name in OF_TONIGHT else _day_of_row(name, whole)
             if day is not None:
                 compared.add(name)
                 one, other = (_standing(name, frame.filter(day < end)) for frame in (nights[end][name], whole))

@@ -24,7 +24,8 @@ def case_home(home: Path) -> Path:
 
 def publish_losses(home: Path, loss: float, **tables: list[dict]) -> Path:
     """A night after which the pack of AAA has lost so much; further tables are stored as well."""
-    health = [*(fouling(n, 0.01) for n in range(59)), fouling(59, loss)]
+    theirs = fouling(59, 0.01, tail="T-9") | {"operator": "BBB"}
+    health = [*(fouling(n, 0.01) for n in range(59)), fouling(59, loss), theirs]
     store = Store(home)
     for name, rows in (tables | {"twin_health": health}).items():
         frame = TABLES[name].schema.conform(pl.DataFrame(rows, infer_schema_length=None))

@@ -8,6 +8,7 @@ import polars as pl
 from nights import empty_home
 
 from hdt_core.components import component_rows
+from hdt_core.tables import TABLES
 from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, Store
 
@@ -24,7 +25,7 @@ def alert(name: str, severity: str, last: int, *, closed: int | None = None) -> 
     raised, now = flight(10), flight(last)
     ends = None if closed is None else flight(closed)["departed_at"]
     return raised | {
-        "alert_id": name, "pack": 1, "component": "HX", "diagnosis": "HX_FOULING", "severity": severity,
+        "alert_id": name, "pack": 1, "component": "HX", "diagnosis": "HX_SUDDEN_CLOG", "severity": severity,
         "raised_severity": "low", "evidence": "then", "evidence_now": "now", "recommended_action": "=wash & look <now>",
         "raised_flight_id": raised["flight_id"], "raised_at": raised["departed_at"], "closed_at": ends,
         "now_flight_id": now["flight_id"],
@@ -48,6 +49,9 @@ def publish_night(home: Path, night: Night) -> None:
     outlook = [flight(n) | fields for n in range(night.last + 1)]
     life = {"life": 0, "first_row": 0, "end_row": night.last + 1, "n_flights": night.last + 1, "censored": True}
     life |= {"operator": "AAA", "tail": "T-1", "pack": 1, "component": "HX", "age_known": False}
+    loss = {"pack": 1, "component": "HX", "parameter": "hx_fouling", "value": 0.2, "sd": 0.01, "unit": "-"}
+    health = [flight(n) | loss | {"status": "ok", "estimator": "ekf"} for n in range(night.last + 1)]
+    store.replace("twin_health", own, TABLES["twin_health"].schema.conform(pl.DataFrame(health)))
     store.replace("raw_flights", own, pl.DataFrame([flight(n) for n in range(night.last + 1)]))
     store.replace("features_alerts", own, pl.DataFrame(night.alerts, infer_schema_length=None))
     store.replace("prognoses", [FLEET], pl.DataFrame(outlook))

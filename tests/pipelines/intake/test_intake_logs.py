@@ -6,9 +6,10 @@ import polars as pl
 import pytest
 from small_catalog import OWN
 
+from hdt_core.alerts.answers import with_findings
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables import TABLES
-from pipelines.intake.findings import DEFAULTS, NAME, CostError, case_files, costs_or_fault, read_costs, with_findings
+from pipelines.intake.findings import DEFAULTS, NAME, CostError, case_files, costs_or_fault, read_costs
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake
 from pipelines.intake.logs import is_done, or_stored, read_checks, read_fleet, read_maintenance, read_messages

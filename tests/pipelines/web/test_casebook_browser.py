@@ -95,9 +95,9 @@ def test_three_people_work_at_once_and_the_second_is_told(enter, home):
     bo.get_by_role("button", name="Close", exact=True).click()
     expect(bo.get_by_role("status")).to_contain_text("found clean")
     vi.reload()
-    expect(vi.locator("main")).to_contain_text("answered, with Ada")
+    expect(vi.locator("main")).to_contain_text("closed, with Ada")
     case = find_case(home, "wear")
-    assert (case["owner"], case["found_by"], case["state"]) == ("Ada", "Bo", "answered")
+    assert (case["owner"], case["found_by"], case["state"]) == ("Ada", "Bo", "closed")
 
 
 @pytest.mark.parametrize("width", [390, 800, 1280])
