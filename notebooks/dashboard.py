@@ -88,14 +88,14 @@ with leads:
     found = ask(f"select *, {UNIT} as unit from removal_leads where operator in (select unnest(?))", own)
     found = found.filter(pl.col("flights_to_work").is_not_null()).sort("flights_to_work", descending=True)
     st.bar_chart(found, x="unit", y=["flights_to_message", "flights_to_work"], stack=False, horizontal=True,
-                 x_label="flights", y_label="")  # fmt: skip
+                 x_label="", y_label="flights")  # fmt: skip
     st.dataframe(found.drop("alert_id", "unit", "begins_at", "work_at"), hide_index=True)
 
 with spent:
     st.caption("`operator_costs` at the figures of `costs.toml`; default: a figure of ours, to be replaced")
     parts = ["messages_cost", "removals_cost", "washes_cost"]
     st.bar_chart(costs.group_by("operator").agg(pl.col(parts).sum()), x="operator", y=parts, horizontal=True,
-                 x_label=money, y_label="")  # fmt: skip
+                 x_label="", y_label=money)  # fmt: skip
     st.dataframe(costs, hide_index=True)
     st.caption(
         "`realised_savings`. Nobody can know whether a message that did not come would have come: at most takes it as"

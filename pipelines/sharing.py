@@ -25,7 +25,7 @@ from pipelines.storage.catalog import CATALOG, connect, open_database
 from pipelines.storage.files import replacing_folder
 from pipelines.storage.naming import Name, names_in
 from pipelines.storage.ownership import names_of, select_rows
-from pipelines.storage.publication import add_meanings, add_named_views, tables_read, views
+from pipelines.storage.publication import STORED, add_meanings, add_named_views, fill_stored, tables_read, views
 
 FORMATS = ("parquet", "csv", "duckdb")
 MANIFEST = "export.json"
@@ -166,7 +166,8 @@ def build(con: duckdb.DuckDBPyConnection, home: Path, scope: AccessScope) -> Non
             _copy(source, con, table, scope, names)
             add_meanings(con, table)
     own_names = names if scope.operator is None else names_of(scope.operator, names)
-    add_named_views(con, [scope.redact_name(name) for name in own_names])
+    add_named_views(con, [scope.redact_name(name) for name in own_names], STORED)
+    fill_stored(con)
     con.commit()
 
 

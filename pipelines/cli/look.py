@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @app.command()
 def status(home: HomeDir = None, as_json: AsJson = False) -> None:
-    """Print what is up to date, what waits and what failed.
+    """Print what failed and what waits, then each asset.
 
     With the last good run, the catalog's age and the rows in quarantine.
     """
@@ -29,11 +29,12 @@ def status(home: HomeDir = None, as_json: AsJson = False) -> None:
     table = Table()
     for name in ("asset", "cells", "up to date", "waiting"):
         table.add_column(name, justify="left" if name == "asset" else "right")
-    for name, row in values.pop("assets").items():
+    assets = values.pop("assets")
+    for name, row in sorted(assets.items(), key=lambda item: -item[1]["waiting"]):  # as declared where none waits
         table.add_row(name, *(str(row[k]) for k in ("cells", "up_to_date", "waiting")))
-    out.print(table, soft_wrap=False)
     for name, value in values.items():
         out.print(f"{name.replace('_', ' ')}: {value if value is not None else '-'}")
+    out.print(table, soft_wrap=False)
 
 
 def _status(home: Path) -> dict[str, Any]:
@@ -58,8 +59,9 @@ def _status(home: Path) -> dict[str, Any]:
         ((quarantined,),) = con.execute("select count(*) from quarantine").fetchall()
     return {
         "assets": assets,
-        "last_run": nights[-1]["ended_at"] if nights else None,
         "last_run_failed": nights[-1]["failed"] if nights and nights[-1]["failed"] != "{}" else None,
+        "waiting": sum(row["waiting"] for row in assets.values()),
+        "last_run": nights[-1]["ended_at"] if nights else None,
         "last_good_run": good[-1]["ended_at"] if good else None,
         "catalog_age_hours": round(age_s / 3600, 2),
         "quarantined": quarantined,

@@ -4,13 +4,12 @@ import datetime as dt
 import json
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import polars as pl
 import typer
-from rich.box import SIMPLE_HEAD
+from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 from pipelines.cli.base import (
     AsJson,
@@ -28,6 +27,9 @@ from pipelines.cli.base import (
 )
 from pipelines.orchestration.local_executor import cores
 from pipelines.storage.settings import MAX_DAYS
+
+if TYPE_CHECKING:
+    from pipelines.report.rows import UnitRow
 
 MAX_ROWS = 10
 """Packs, and units, that the terminal lists."""
@@ -72,7 +74,13 @@ def nightly(
 
     From raw data to alerts. Exit code 1 if an aircraft failed; the others are complete.
     """
-    zone, where = landing_folder(landing), home_folder(home, must_exist=False)
+    from pipelines.orchestration.around_night import report_failure
+
+    if home is None:
+        landing_folder(landing)  # of two folders that are not named the landing zone is asked for first
+    where = home_folder(home, must_exist=False)
+    with report_failure(where, print_error):
+        zone = landing_folder(landing)
     if dry_run:
         _print_new_files(zone, where, as_json)
     else:
@@ -154,7 +162,7 @@ def _print_new_files(landing: Path, home: Path, as_json: bool) -> None:
 
 
 def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only: pl.Expr | None = None) -> None:
-    from pipelines.orchestration.around_night import lock_home
+    from pipelines.orchestration.around_night import lock_home, notify_failure, report_failure
     from pipelines.orchestration.nightly import complete_night
 
     start_s, bars = time.monotonic(), Bars(quiet=as_json)
@@ -163,7 +171,7 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         bars.stop()
         print_error("stopped; the next run continues from here")
 
-    with stop_at_once(report_stop), lock_home(home):
+    with stop_at_once(report_stop), report_failure(home, print_error), lock_home(home):
         try:
             night, fault = complete_night(landing, home, bars, only, jobs=jobs)
         finally:
@@ -181,7 +189,10 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         print_error(line)
     if clock := "" if night.idle else _clock_fault(home, night.new_paths):
         print_error(clock)
-    if night.failed or night.failed_hooks or clock:
+    failed = [*(f"{cell}: {why}" for cell, why in night.failed.items()), *night.failed_hooks, *filter(None, [clock])]
+    if failed:
+        for line in notify_failure(home, failed):
+            print_error(line)
         raise typer.Exit(1)
 
 
@@ -260,35 +271,37 @@ def _print_refusals(home: Path, files: frozenset[str]) -> None:
 def print_ranking(home: Path) -> None:
     """Print the packs, and units of other components, most in need of attention, in the report's order and words."""
     from pipelines.report import words
-    from pipelines.report.facts import OUTLOOKS
-    from pipelines.storage.catalog import connect
+    from pipelines.report.rows import rows_of, silence_lines
     from pipelines.words import _
 
-    queries = (*(f"select * from {view} order by place" for view in ("fleet_ranking", "component_ranking")), OUTLOOKS)
-    with connect(home) as con:
-        packs, units, outlooks = (con.sql(query).pl() for query in queries)
-    _print_rows(_("Packs most in need of attention"), packs.to_dicts(), outlooks)
-    if units.height:
-        _print_rows(_("Other components most in need of attention"), units.to_dicts(), outlooks)
-    for line in words.unknown([*packs.to_dicts(), *units.to_dicts()]):
+    rows = rows_of(home)
+    packs = [unit for unit in rows if unit["component"] is None]
+    others = [unit for unit in rows if unit["component"]]
+    _print_rows(_("Packs most in need of attention"), packs)
+    if others:
+        _print_rows(_("Other components most in need of attention"), others)
+    for line in (*words.unknown([unit.values for unit in rows]), *silence_lines(rows)):
         out.print(line)
 
 
-def _print_rows(title: str, rows: list[dict[str, Any]], outlooks: pl.DataFrame) -> None:
-    from pipelines.report import words
+def _print_rows(title: str, units: list["UnitRow"]) -> None:
+    """Print two lines a unit: its values in columns, then what to do, why, and its message."""
+    from pipelines.report.words import urgency
     from pipelines.words import _, several
 
-    table = Table(title=title, box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    names = (_("unit"), _("urgency"), _("lost\n(90 %)"), _("flights left\n(90 %)"), _("message"), _("open alerts"))
-    for k, name in enumerate(names):
-        table.add_column(name, no_wrap=k < 3, min_width=len("2024-07-25") if k > 2 else None)
-    for r in rows[:MAX_ROWS]:
-        o = words.likeliest_outlook(outlooks, r)
-        unit = f"{r['operator']} {r['tail']} {r['component'] + ' ' if 'name' in r else ''}{r['pack']}"
-        diagnoses = words.diagnosis(r["diagnoses"]) if r["diagnoses"] else words.work_done(r)
-        notes = ", ".join(filter(None, (diagnoses, words.switched_off(r))))
-        message = words.message_on_record(r) or words.chance_by(o)
-        table.add_row(unit, words.urgency(r), words.loss(r), words.flights_left(o), message, notes)
-    out.print(table, soft_wrap=False)
-    if (n := len(rows) - MAX_ROWS) > 0:
+    lines = [(_("unit"), _("urgency"), _("lost"), _("flights left (90 %)"))]
+    for unit in units[:MAX_ROWS]:
+        part = f"{unit['component']} " if unit["component"] else ""
+        name = f"{unit['operator']} {unit['tail']} {part}{unit['pack']}"
+        lines.append((name, urgency(unit.values), unit.loss(), unit.flights_left()))
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    head, *rows = ("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+    rule = "─" * max(map(len, (head, *rows)))
+    out.print(f"{title}\n\n{head}\n{rule}")
+    for unit, row in zip(units, rows, strict=False):
+        why = "; ".join(filter(None, (unit.to_do(), unit.diagnosis(), unit.message_phrase(), *unit.notes())))
+        out.print(row)
+        out.print(Padding(why, (0, 0, 0, 4), expand=False), soft_wrap=False)
+    out.print()
+    if (n := len(units) - MAX_ROWS) > 0:
         out.print(several("{n} more in the report.", "{n} more in the report.", n))

@@ -130,17 +130,21 @@ def orders(
     home: HomeDir = None,
     operator: OperatorOnly = None,
 ) -> None:
-    """Write open alerts as work orders.
+    """Write what needs work as work orders.
 
-    As CSV and JSON for a maintenance system, and as a page to print.
+    Open alerts, and units that need work without one: CSV and JSON for a
+    maintenance system, and a page to print.
     """
     from pipelines.digest.orders import work_orders, write_orders
+    from pipelines.report.rows import dates_line
     from pipelines.report.tasks import read_tasks
     from pipelines.storage.catalog import connect
+    from pipelines.storage.publication import publish_lines
 
     where = home_folder(home)
+    publish_lines(where)
     with connect(where) as con:
-        ((until,),) = con.execute("select max(departed_at) from flights").fetchall()
         table = work_orders(con, read_tasks(where), operator)
-    write_orders(table, target, f"Flights up to {until:%Y-%m-%d %H:%M} UTC." if until else "")
+        dates = dates_line(con)
+    write_orders(table, target, dates)
     out.print(f"{table.height} work orders: {target}")

@@ -10,16 +10,19 @@ import duckdb
 from hdt_core.prognosis.model import HORIZON
 from pipelines.intake.faults import silent_columns
 from pipelines.intake.held import held_flights
+from pipelines.report.rows import read_rows, unit_key
 from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.publication import connect_as_of
 
 State = dict[str, Any]
-"""JSON: `until`; `alerts`, `closed` by case; `outlook` by unit; `gaps`, `silent`, `held` by name; others by path."""
+"""JSON: `until`; `alerts`, `closed` by case; `units` (to work on, without an alert) and `outlook` by unit; `gaps`,
+`silent`, `held` by name; others by path.
+"""
 EMPTY: State = {
-    "until": None, "alerts": {}, "closed": {}, "outlook": {}, "gaps": {}, "silent": {}, "files": {}, "notes": {},
-    "held": {},
+    "until": None, "alerts": {}, "closed": {}, "units": {}, "outlook": {}, "gaps": {}, "silent": {}, "files": {},
+    "notes": {}, "held": {},
 }  # fmt: skip
 """State before the first night."""
 
@@ -29,7 +32,7 @@ select
     a.case_id, a.alert_id, a.operator, a.tail, a.pack, a.component, a.diagnosis, a.severity, a.urgency,
     strftime(a.raised_at at time zone 'UTC', '%Y-%m-%d') as since,
     strftime(a.closed_at at time zone 'UTC', '%Y-%m-%d') as closed_on,
-    a.recommended_action as action, a.evidence_now as evidence,
+    a.recommended_action, a.evidence_now as evidence,
     a.now_rul_flights as rul_flights, a.now_rul_low as rul_low, a.now_rul_high as rul_high,
     a.now_p_event_50 as p_event_50, n.choice, p.place, o.outcome, o.work_orders
 from alert_states as a
@@ -65,6 +68,11 @@ select
 from unlogged_work
 order by all
 """
+_WITHOUT_ALERT = """
+select operator, tail, pack, component, urgency, place from unit_rows
+where alert_id is null and urgency in ('act', 'plan')
+order by all
+"""
 _PART = ("pack", "component")
 _FILES = """
 select file, any_value(operator) as operator, sum(n_rows)::bigint as n_rows,
@@ -76,14 +84,18 @@ from quarantine where file is not null and (scope = 'note') = $notes group by fi
 def read_state(con: duckdb.DuckDBPyConnection, tasks: Tasks | None = None) -> State:
     """Read the state of a night from its catalog, with the work of each alert where `tasks` has it."""
     ((until,),) = con.execute(_UNTIL).fetchall()
+    units = read_rows(con, tasks) if tasks is not None else []
+    work = {unit["alert_id"] or unit.key: unit.work() for unit in units if unit.needs_work}
     alerts = {
-        row["case_id"]: row | {"work": work_text(tasks or {}, row | {"recommended_action": row["action"]})}
+        row["case_id"]: row | {"work": work.get(row["alert_id"]) or work_text(tasks or {}, row)}
         for row in _rows(con, _ALERTS)
     }
+    without_alert = [row | {"work": work.get(unit_key(row), "")} for row in _rows(con, _WITHOUT_ALERT)]
     return {
         "until": until,
         "alerts": {name: row for name, row in alerts.items() if row["closed_on"] is None},
         "closed": {name: row for name, row in alerts.items() if row["closed_on"] is not None},
+        "units": {_key(r, "operator", "tail", "pack", "component"): r for r in without_alert},
         "outlook": {_key(r, "operator", "tail", "pack", "component"): r for r in _rows(con, _OUTLOOK)},
         "gaps": {
             _key(r, "operator", "tail", "gap", "since", "after_flight_id", *(_PART if r["pack"] else ())): r
@@ -159,7 +171,10 @@ def compare(before: State, now: State) -> Digest:
     pairs = [(before["alerts"][name], row) for name, row in now["alerts"].items() if name in before["alerts"]]
     notes_before: dict[str, Row] = before["notes"] if "notes" in before else now["notes"]  # an older version kept none
     changes = {
-        "new": [row for name, row in now["alerts"].items() if name not in before["alerts"]],
+        "new": [
+            *(row for name, row in now["alerts"].items() if name not in before["alerts"]),
+            *_new_units(before, now),
+        ],
         "worse": [row | {"was": was} for was, row in pairs if _weight(row) > _weight(was)],
         "closed": [_closing(was, now) for name, was in before["alerts"].items() if name not in now["alerts"]],
         "moved": list(_moved_outlooks(before["outlook"], now["outlook"])),
@@ -172,6 +187,15 @@ def compare(before: State, now: State) -> Digest:
     }
     in_order = {kind: sorted(rows, key=_order) for kind in KINDS if (rows := changes[kind])}
     return Digest(before["until"], now["until"], in_order)
+
+
+def _new_units(before: State, now: State) -> Iterable[Row]:
+    """Yield units that need work now though no alert is open, and did not the night before."""
+    units_before: dict[str, Row] = before.get("units", {})  # an earlier version stored none
+    alerted = {_key(row, "operator", "tail", "pack") for row in before["alerts"].values()}
+    for name, row in now["units"].items():
+        if name not in units_before and _key(row, "operator", "tail", "pack") not in alerted:
+            yield row
 
 
 def _weight(alert: Row) -> tuple[int, int]:

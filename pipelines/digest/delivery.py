@@ -11,14 +11,15 @@ import ssl
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
 from email.message import EmailMessage
 from email.utils import formatdate
 from http.client import HTTPException
 from pathlib import Path
 from typing import Any
 
-from pipelines.digest.changes import EMPTY, Digest, State, compare, read_state
+from pipelines.digest.changes import EMPTY, Digest, Row, State, compare, read_state
 from pipelines.digest.declaration import NotifyError, Receiver, check_url, receivers_of
 from pipelines.digest.render import as_html, as_json, as_text, as_webhook, subject, write_digest
 from pipelines.report.tasks import read_tasks
@@ -185,6 +186,20 @@ def send_trial(home: Path) -> list[tuple[str, str]]:
         else:
             results.append((receiver.name, ""))
     return results
+
+
+def send_failure(home: Path, reasons: Iterable[str]) -> list[str]:
+    """Send why a night failed to the receivers of all operators; return a line for each that was not reached."""
+    until = f"{datetime.now(UTC):%Y-%m-%d %H:%M}"
+    rows: list[Row] = [{"file": "night", "reasons": reason} for reason in reasons]
+    digest = Digest(None, until, {"failed": rows})
+    failures = []
+    for receiver in (r for r in receivers_of(home) if r.operator is None):
+        try:
+            send(receiver, digest, hash_text(receiver.name, as_json(digest)), home)
+        except NotifyError as error:
+            failures.append(f"{receiver.name} got no message of the failed night: {error}")
+    return failures
 
 
 def _deliver(home: Path, receiver: Receiver, now: State, night: str, record: dict[str, Any]) -> str:

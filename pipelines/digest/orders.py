@@ -1,54 +1,82 @@
 """Write open alerts as work orders: CSV and JSON for a maintenance system, and a page to print."""
 
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
+from datetime import date, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import duckdb
 import polars as pl
 
 from pipelines.digest.render import PAGES
 from pipelines.report import words
-from pipelines.report.tasks import BEST_CHOICE, Task, Tasks, action_of, tasks_of
+from pipelines.report.rows import UnitRow, read_rows
+from pipelines.report.tasks import Task, Tasks, action_of, describe_action, tasks_of
 from pipelines.sharing import safe
+from pipelines.storage.catalog import fetch_dicts
 from pipelines.storage.files import replacing
 
 COLUMNS = ("reference", "operator", "tail", "pack", "component", "action", "due", "reason", "case_id", "alert_id")
 WORK = tuple(f.name for f in fields(Task))
+Row = dict[str, Any]
 
-_ORDERS = f"""
-select
-    'HDT-' || a.case_id as reference, a.operator, a.tail, a.pack, a.component, a.diagnosis,
-    a.recommended_action, n.choice, a.urgency, a.now_rul_flights as rul_flights, a.now_rul_low as rul_low,
-    a.now_rul_high as rul_high, a.now_p_event_50 as p_event_50, a.raised_on, a.case_id, a.alert_id,
-    case
-        when d.status = 'ok' then d.due_low_on
-        when d.status is null and a.urgency = 'act' then (r.last_departed_at at time zone 'UTC')::date + 1
-    end as due
-from open_alerts as a
-inner join cases as c on a.alert_id = c.alert_id
-left join due_dates as d
-    on a.operator = d.operator and a.tail = d.tail and a.pack = d.pack and a.component = d.component
-{BEST_CHOICE}
-left join flight_rates as r on a.operator = r.operator and a.tail = r.tail
-where c.state not in ('muted', 'answered')
-order by a.place
-"""
+_ALERTS = """
+    select a.*, a.raised_on::varchar as since
+    from open_alerts as a inner join cases as c on a.alert_id = c.alert_id
+    where c.state <> 'muted' order by a.place"""
 
 
 def work_orders(con: duckdb.DuckDBPyConnection, tasks: Tasks, operator: str | None = None) -> pl.DataFrame:
-    """Return one order for each open alert that is neither muted nor answered, the most urgent first.
+    """Return one order for each open alert that is not muted and each unit that needs work without one.
 
-    `due` is the first day of `due_dates`: by then the message has been raised with a probability of 5 %. Without a
-    prognosis it is the day after the last flight for an alert to act on now, else null: the next check.
+    The most urgent come first. `due` is the first day of `due_dates`: by then the message has been raised with a
+    probability of 5 %. Without a prognosis it is the day after the last flight for an alert to act on now, else null:
+    the next check.
     """
-    rows = con.sql(_ORDERS).pl()
-    rows = rows if operator is None else rows.filter(operator=operator)
-    orders = [row | _texts(row, tasks) for row in rows.to_dicts()]
-    schema = rows.schema | {"reason": pl.String, "action": pl.String} | dict.fromkeys(WORK, pl.String)
+    alerts = fetch_dicts(con.execute(_ALERTS))
+    units = [unit for unit in read_rows(con, tasks) if unit.needs_work and operator in (None, unit["operator"])]
+    orders = [order for unit in units for order in _orders_of(unit, alerts, tasks)]
+    schema = dict.fromkeys((*COLUMNS, *WORK), pl.String) | {"pack": pl.Int32, "due": pl.Date}
     schema |= dict.fromkeys(("minutes", "people"), pl.Int64)
-    return pl.DataFrame(orders, schema=schema).select(*COLUMNS, *WORK)
+    return pl.DataFrame(orders, schema=schema, orient="row")
+
+
+def _orders_of(unit: UnitRow, alerts: list[Row], tasks: Tasks) -> Iterator[Row]:
+    """Yield the orders of a unit, that of its most urgent alert first."""
+    if unit["alert_id"] is None:
+        name = "-".join(map(str, unit.key))
+        yield _order(unit, f"HDT-{name}", unit.values) | _work(unit.action(), unit.to_do(), unit.tasks)
+    for alert in filter(unit.owns, alerts):
+        own_tasks = tasks_of(tasks, alert)
+        action = unit.action() if alert["alert_id"] == unit["alert_id"] else action_of(alert, own_tasks)
+        text = describe_action(action, alert, unit.until())
+        yield _order(unit, f"HDT-{alert['case_id']}", alert) | _work(action, text, own_tasks)
+
+
+def _order(unit: UnitRow, reference: str, subject: Row) -> Row:
+    """Return an order without its work; `subject` is an alert, or the values of a unit without one."""
+    component = subject["component"] or unit["outlook_component"]
+    is_forecast = component == unit["outlook_component"]
+    label = words.diagnosis(subject["diagnosis"]) if subject["diagnosis"] else ""
+    cause = f"{label} since {subject['since']}" if label else "no alert"
+    outlook = [f"{unit.loss()} lost", f"flights left {unit.flights_left()}", unit.message_phrase(), unit.cost()]
+    reason = "; ".join(filter(None, [cause, *(outlook if is_forecast else ()), *unit.notes()]))
+    place = {c: unit[c] for c in ("operator", "tail", "pack")} | {"component": component}
+    due = {"due": _due(unit, is_forecast), "reason": reason}
+    return {"reference": reference} | place | due | {c: subject[c] for c in ("case_id", "alert_id")}
+
+
+def _due(unit: UnitRow, is_forecast: bool) -> date | None:
+    if is_forecast and unit["due_status"] == "ok":
+        return cast("date", unit["due_low_on"])
+    is_undated = unit["due_status"] is None or not is_forecast
+    return unit["data_until"].date() + timedelta(days=1) if is_undated and unit["urgency"] == "act" else None
+
+
+def _work(action: str, text: str, tasks: Mapping[str, Task]) -> Row:
+    return {"action": text} | asdict(tasks.get(action, Task()))
 
 
 def write_orders(orders: pl.DataFrame, folder: Path, until: str) -> None:
@@ -60,15 +88,3 @@ def write_orders(orders: pl.DataFrame, folder: Path, until: str) -> None:
     for name, text in files.items():
         with replacing(folder / name) as file:
             file.write_text(text, encoding="utf-8")
-
-
-def _texts(row: dict[str, Any], tasks: Tasks) -> dict[str, Any]:
-    """Return action, reason and the work of the one action."""
-    own = tasks_of(tasks, row)
-    work = asdict(own.get(action_of(row, own), Task()))
-    return {"action": words.plain(row["recommended_action"]), "reason": _reason(row)} | work
-
-
-def _reason(row: dict[str, Any]) -> str:
-    outlook = f"; flights left {words.flights_left(row)}" if row["rul_flights"] is not None else ""
-    return f"{words.diagnosis(row['diagnosis'])} since {row['raised_on']}{outlook}"

@@ -15,6 +15,7 @@ from pipelines.words import several
 MAX_ROWS = 20
 """Rows of a kind listed in text and page; JSON has all."""
 TITLES = {
+    "failed": "The night failed",
     "new": "New alerts",
     "worse": "Worse",
     "closed": "Closed",
@@ -54,7 +55,9 @@ def lines(digest: Digest) -> list[tuple[str, list[tuple[str, str]]]]:
 
 
 def span(digest: Digest) -> str:
-    """Return the line with the flights that the digest covers."""
+    """Return the line with the flights that the digest covers, or with the moment of a failure."""
+    if "failed" in digest.changes:
+        return f"At {digest.until} UTC. What is done stays; the next night tries the rest again."
     if digest.until is None:
         return "No flight yet."
     since = f" The digest before covers those up to {digest.since} UTC." if digest.since else ""
@@ -101,9 +104,12 @@ def _unit(row: Row) -> str:
 
 
 def _alert(row: Row) -> str:
+    to_do = f"{words.urgency(row)}: {row['work']}."
+    if "case_id" not in row:
+        return f"{to_do} No alert is open."
     outlook = f" Flights left {words.flights_left(row)}." if row["rul_flights"] is not None else ""
-    head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}, {row['severity']}. {words.urgency(row)}"
-    return f"{head}: {words.plain(row['action']).rstrip('.')}. {row['work']}.{outlook} [{row['case_id']}]"
+    head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}, {row['severity']}."
+    return f"{head} {to_do}{outlook} [{row['case_id']}]"
 
 
 def _alert_change(row: Row) -> str:
@@ -140,4 +146,4 @@ def _file_refusal(row: Row) -> str:
 
 _SENTENCE = {"new": _alert, "worse": _alert_change, "closed": _closing, "moved": _outlook, "eased": _alert_change,
              "silent": describe_silence, "gap": _gap, "held": describe_held, "refused": _file_refusal,
-             "noted": _note}  # fmt: skip
+             "noted": _note, "failed": _note}  # fmt: skip

@@ -9,8 +9,10 @@ import duckdb
 
 from hdt_core.loading import UserError
 from pipelines.report import words
+from pipelines.report.rows import UnitRow, read_rows
 from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
 from pipelines.storage.catalog import connect, fetch_dicts
+from pipelines.storage.publication import publish_lines
 from pipelines.words import ENGLISH, _, language
 
 Row = dict[str, Any]
@@ -35,11 +37,14 @@ def explain(home: Path, name: str) -> str | None:
         More than one alert begins with it.
     """
     tasks = read_tasks(home)
+    publish_lines(home)
     with connect(home) as con:
-        packs, units = (_ranked(con, name, view) for view in ("fleet_ranking", "component_ranking"))
-        if packs or units:
+        units = _named_units(con, tasks, name)
+        packs = [unit for unit in units if unit["component"] is None]
+        if units:
             first = [_text(con, tasks, packs[0], packs[1:])] if packs else []
-            return "\n\n".join([*first, *(_text(con, tasks, unit) for unit in units)])
+            others = [_text(con, tasks, unit) for unit in units if unit["component"]]
+            return "\n\n".join([*first, *others])
         alerts = _alerts(con, tasks, _NAMED, name.strip().lower())
     if len(alerts) > 1:
         raise UserError(f"{len(alerts)} alerts begin with {name}; give more of the id")
@@ -56,30 +61,35 @@ def _alerts(con: duckdb.DuckDBPyConnection, tasks: Tasks, where: str, *values: A
     return [a | {"work": work_text(tasks, a)} for a in _rows(con, sql, *values)]
 
 
-def _ranked(con: duckdb.DuckDBPyConnection, name: str, view: str) -> list[Row]:
-    """Read the packs, or units of other components, of this name, the most urgent first."""
+def _named_units(con: duckdb.DuckDBPyConnection, tasks: Tasks, name: str) -> list[UnitRow]:
+    """Read the packs and units of other components of this name, the most urgent first."""
     match = _PACK.fullmatch(name.strip())
     if match is None:
         return []
     operator, tail, pack = (match[part] and match[part].upper() for part in ("operator", "tail", "pack"))
     named = "tail = $1 and operator = coalesce($2, operator)"
-    had = f"select (present_operator, present_tail) from tables.names where {named}"
-    condition = f"({named} or (operator, tail) in ({had})) and pack = coalesce($3, pack)"
-    return _rows(con, f"select * from {view} where {condition} order by place", tail, operator, pack and int(pack))
+    sql = f"select present_operator, present_tail from tables.names where {named}"
+    had = {(r["present_operator"], r["present_tail"]) for r in _rows(con, sql, tail, operator)}
+
+    def is_named(unit: UnitRow) -> bool:
+        is_aircraft = unit["tail"] == tail and operator in (None, unit["operator"])
+        is_aircraft = is_aircraft or (unit["operator"], unit["tail"]) in had
+        return is_aircraft and pack in (None, str(unit["pack"]))
+
+    return [unit for unit in read_rows(con, tasks) if is_named(unit)]
 
 
-def _text(con: duckdb.DuckDBPyConnection, tasks: Tasks, row: Row, others: Sequence[Row] = ()) -> str:
+def _text(con: duckdb.DuckDBPyConnection, tasks: Tasks, unit: UnitRow, others: Sequence[UnitRow] = ()) -> str:
     """Describe a pack, or a unit of another component, its open alerts, and in a line each the `others`."""
-    if "name" in row:
-        alerts = _alerts(con, tasks, f"{_UNIT} = $4", *words.unit_key(row), row["component"])
+    if unit["component"]:
+        alerts = _alerts(con, tasks, f"{_UNIT} = $4", *unit.key)
     else:
         units = "select component from tables.components where recorded"
-        alerts = _alerts(con, tasks, f"{_UNIT} not in ({units})", *words.unit_key(row))
+        alerts = _alerts(con, tasks, f"{_UNIT} not in ({units})", *unit.key)
     opened = [a for a in alerts if a["closed_at"] is None]
-    state = [
-        f"{text[:1].upper()}{text[1:]}." for text in (words.message_on_record(row), words.switched_off(row)) if text
-    ]
-    lines = [_head(row), *state, *words.unknown([row]), *(line for a in opened for line in ("", *_alert_lines(a)))]
+    notes = [f"{note[:1].upper()}{note[1:]}." for note in unit.notes()]
+    evidence = [line for a in opened for line in ("", *_alert_lines(a))]
+    lines = [*_head(unit), *_reference(con, unit), *notes, *words.unknown([unit.values]), *evidence]
     if not opened:
         last = max(alerts, key=lambda a: a["closed_at"], default=None)
         lines.append(_("No alert is open.") + (f" {_before(last)}" if last else ""))
@@ -91,29 +101,38 @@ def _before(last: Row) -> str:
     return _("The last, {diagnosis}, closed {day}: alert {id}.", id=last["alert_id"], **values)
 
 
-def _head(row: Row) -> str:
-    """Write the state of a pack or unit after its last flight."""
-    own = "name" in row
-    lost = row["lost"] if own else words.WEARS["HX"][0]
-    return _(
-        "{unit}: {urgency}. {lost} {loss}, flights left {left}, chance of {event} within 50 flights {chance}; after "
-        "{flight}, {time}.",
-        unit=f"{row['operator']} {words.unit_name(row)}",
-        urgency=words.urgency(row),
+def _head(unit: UnitRow) -> list[str]:
+    """Write the state of a pack or unit after its last flight, and the one thing to do."""
+    lost = unit["lost"] or words.WEARS["HX"][0]
+    due = unit.due()
+    state = _(
+        "{unit}: {urgency}. {lost} {loss}; flights left {left}{due}; {outlook}. Data until {flight}, {time}.",
+        unit=unit.name(),
+        urgency=unit.urgency(),
         lost=_(lost),
-        event=_("a failure") if own else _("a message"),
-        loss=words.loss(row),
-        left=words.flights_left(row),
-        chance=words.chance(row["p_event_50"]),
-        flight=row["last_flight_id"],
-        time=words.clock(row["last_departed_at"]),
+        loss=unit.loss(),
+        left=unit.flights_left(),
+        due=f", {due}" if due else "",
+        outlook=unit.message_phrase(),
+        flight=unit["last_flight_id"],
+        time=words.clock(unit["data_until"]),
     )
+    work = unit.work(with_effort=not unit["alert_id"])  # an alert has it below, with tools and parts
+    return [state, _("To do: {action}.", action=work)] if work else [state]
 
 
-def _beside(row: Row) -> str:
-    alerts = words.diagnosis(row["diagnoses"]) if row["diagnoses"] else _("no open alert")
-    pack = f"{row['operator']} {words.pack_name(row)}"
-    return _("Also {pack}: {urgency}, {alerts}.", pack=pack, urgency=words.urgency(row), alerts=alerts)
+def _reference(con: duckdb.DuckDBPyConnection, unit: UnitRow) -> list[str]:
+    """Write what became of other units at this loss."""
+    part = unit["outlook_component"] or unit["component"]
+    sql = "select * from reference_classes as a where " + f"{_UNIT} = $4"
+    rows = _rows(con, sql, *unit.key[:3], part)
+    text = words.reference(rows[0]) if rows else ""
+    return [text] if text else []
+
+
+def _beside(unit: UnitRow) -> str:
+    alerts = unit.diagnosis() or _("no open alert")
+    return _("Also {pack}: {urgency}, {alerts}.", pack=unit.name(), urgency=unit.urgency(), alerts=alerts)
 
 
 def _alert_lines(a: Row) -> list[str]:
@@ -131,8 +150,8 @@ def _alert_lines(a: Row) -> list[str]:
           flight=a["raised_flight_id"], severity=_(at_first), evidence=_numbers(a, "raised") + then),
         _("{moment} (after {flight}, {severity}): {evidence}", moment=at_last, flight=a["now_flight_id"],
           severity=_(severity), evidence=now),
-        _("To do: {action}", action=words.plain(a["recommended_action"])),
         _("Work: {work}", work=a["work"]),
+        _("Recommended: {action}", action=words.plain(a["recommended_action"])),
     ]  # fmt: skip
 
 

@@ -9,18 +9,10 @@ from typing import Any
 import polars as pl
 
 from hdt_core.calibration.dsm import Dsm
+from pipelines.report.rows import UnitRow, dates_line, read_rows
 from pipelines.report.tasks import Tasks, read_tasks
 from pipelines.storage.catalog import connect
-from pipelines.storage.publication import views
-
-OUTLOOKS = """
-    select c.* exclude (status, flights_per_day), d.flights_per_day, d.days_left, d.days_left_low, d.days_left_high,
-        d.due_on, d.due_low_on, d.due_high_on, d.status as due_status,
-        case when c.check_name is not null then c.until_on end as check_on
-    from check_chances as c left join due_dates as d
-    on c.operator = d.operator and c.tail = d.tail and c.pack = d.pack and c.component = d.component
-    where c.is_observed"""
-"""Chance of a message before the next chance to act, and due date, of each unit and component that was observed."""
+from pipelines.storage.publication import publish_lines, views
 
 _SEGMENT = """
     with best as (
@@ -38,8 +30,6 @@ _SEGMENT = """
 """Samples of the flight and pack with most cruise, continuous logs first, then the latest; `twin` is its estimate."""
 
 _FRAMES = {
-    "ranking": "select * from fleet_ranking order by place",
-    "components": "select * from component_ranking order by place",
     "component_losses": """
         select operator, tail, pack, component, flight_id, departed_at, loss, loss_sd from component_features
         where loss is not null order by departed_at, flight_id""",
@@ -60,11 +50,8 @@ _FRAMES = {
         select *, max(expected_cost) filter (choice = 'defer')
             over (partition by operator, tail, pack, component) as defer_cost
         from next_stop order by place nulls last, choice""",
-    "outlooks": OUTLOOKS,
-    "margins": """
-        select operator, tail, pack, arg_max(hx_margin_hot_day_k, departed_at) as margin_k,
-            arg_max(door_full_open_share, departed_at) as door_share
-        from features group by operator, tail, pack""",
+    "due": "select * from due_dates",
+    "references": "select * from reference_classes",
     "hit_rates": "select * from alert_hit_rates order by component, diagnosis",
     "maintenance": "select * from tables.raw_maintenance order by done_on, reference",
     "messages": "select * from tables.raw_messages order by message_time, code",
@@ -98,11 +85,13 @@ _OF_NO_UNIT = {"design", "filter_yield", "reasons", "unlogged", "quarantine", "d
 class Facts:
     """Frames of the catalog by subject.
 
-    Of the figures' frames `twin` has a row a flight and pack, `segment` the samples of one flight and pack and
-    `twin_flight` its estimate. `card` is the model card, `dsm` the model in service, None before the first; `tasks` is
-    the work of each action.
+    `dates` is the line of `rows.dates_line`; `rows` are the units', the most urgent first. Of the figures' frames
+    `twin` has a row a flight and pack, `segment` the samples of one flight and pack and `twin_flight` its estimate.
+    `card` is the model card, `dsm` the model in service, None before the first; `tasks` is the work of each action.
     """
 
+    dates: str
+    rows: list[UnitRow]
     frames: dict[str, pl.DataFrame]
     card: dict[str, Any]
     dsm: Dsm | None
@@ -122,6 +111,8 @@ class Facts:
 
 def read_facts(home: Path, *, units_only: bool = False) -> Facts:
     """Read the facts of a home, all or those of its units."""
+    publish_lines(home)
+    tasks = read_tasks(home)
     with connect(home) as con:
         names = [name for name in _FRAMES if not (units_only and name in _OF_NO_UNIT)]
         frames = {name: con.sql(_FRAMES[name]).pl() for name in names}
@@ -131,12 +122,12 @@ def read_facts(home: Path, *, units_only: bool = False) -> Facts:
         cards = con.execute("select card from tables.prognosis_model order by month desc limit 1").fetchall()
         models = con.execute("select model from tables.calibration_dsm limit 1").fetchall()
         card = json.loads(cards[0][0]) if cards else {}
-        return Facts(frames, card, _dsm(models), read_tasks(home))
+        return Facts(dates_line(con), read_rows(con, tasks), frames, card, _dsm(models), tasks)
 
 
 def views_read() -> list[str]:
     """List the views that the page reads."""
-    queries = " ".join(_FRAMES.values())
+    queries = " ".join(["unit_rows", *_FRAMES.values()])
     return [view for view in views() if re.search(rf"\b{view}\b", queries)]
 
 

@@ -1,6 +1,5 @@
 """Write the report: what to do first, then the evidence, then how reliable it is."""
 
-import re
 from collections.abc import Sequence
 from datetime import timedelta
 from importlib import resources
@@ -13,6 +12,7 @@ from markupsafe import Markup
 
 from hdt_core.alerts.alerts import Trial, trials
 from hdt_core.alerts.cases import Limits
+from hdt_core.health.work import settled_log
 from pipelines.report import words
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.figures import figures
@@ -53,6 +53,7 @@ def page(
     return render(
         "report.html",
         title=_("Fleet health") + (f", {until:%Y-%m-%d}" if until else ""),
+        dates=facts.dates,
         units=units,
         policy=policy(script),
         script=Markup(script),
@@ -124,11 +125,11 @@ def _filter_yield(facts: Facts) -> dict[str, Any]:
     }
 
 
-OUTCOME_VIEWS = ("alert_hit_rates", "alert_lead_times")
+OUTCOME_VIEWS, ALERTS = ("alert_hit_rates", "alert_lead_times"), "tables.features_alerts"
 _COUNTS = """
     select
         coalesce(any_value(n_alerts), 0) as alerts,
-        coalesce(any_value(n_right), 0) as confirmed,
+        coalesce(any_value(n_right), 0) as "right",
         coalesce(any_value(n_judged - n_right), 0) as false,
         coalesce(any_value(n_open), 0) as open,
         (select median(lead_flights) from alert_lead_times where diagnosis = $1) as lead_flights,
@@ -141,41 +142,44 @@ Row = dict[str, Any]
 def thresholds(home: Path) -> list[Row]:
     """Return one row a diagnosis and value of its limit.
 
-    Columns `diagnosis, limit, value, in_service, alerts, confirmed, false, open`, `lead_flights` (median) and `missed`
+    Columns `diagnosis, limit, value, in_service, alerts, right, false, open`, `lead_flights` (median) and `missed`
     (messages of the component without an alert before them).
     """
-    definitions = _view_definitions()
+    definitions = _definitions_over_alerts()
+    inputs = {source for sql in definitions.values() for source in read_header(sql).sources} - definitions.keys()
     with connect(home) as con:
-        names = sorted({t for _, sql in definitions for t in re.findall(r"\btables\.(\w+)", sql)})
-        tables = {t: con.sql(f"select * from tables.{t}").to_arrow_table() for t in names}
-        inputs = ("features", "raw_maintenance")
-        features, maintenance = (con.sql(f"select * from tables.{t}").pl() for t in inputs)
+        rows = {name: con.sql(f"select * from {name}").to_arrow_table() for name in sorted(inputs)}
+        stored = ("features", "raw_maintenance", "features_work")
+        features, maintenance, judgements = (con.sql(f"select * from tables.{t}").pl() for t in stored)
     with duckdb.connect() as copy:
         copy.execute("set TimeZone = 'UTC'; create schema tables")
-        for name, rows in tables.items():
-            _replace(copy, name, rows)
-        for _, sql in definitions:
+        for name, table in rows.items():
+            _replace(copy, name, table)
+        for sql in definitions.values():
             copy.execute(sql)
-        return [_outcome(copy, t) for t in trials(features, maintenance, alert_limits(home))]
+        return [_outcome(copy, t) for t in trials(features, settled_log(maintenance, judgements), alert_limits(home))]
 
 
 def _outcome(con: duckdb.DuckDBPyConnection, t: Trial) -> Row:
-    _replace(con, "features_alerts", t.alerts.to_arrow())
+    _replace(con, ALERTS, t.alerts.to_arrow())
     (row,) = con.sql(_COUNTS, params=[t.diagnosis]).pl().to_dicts()
     return {"diagnosis": t.diagnosis, "limit": t.limit, "value": t.value, "in_service": t.in_service, **row}
 
 
-def _view_definitions() -> list[tuple[str, str]]:
-    """Return the outcome views and those they read, in order of dependence."""
-    definitions, names, queue = views(), set[str](), list(OUTCOME_VIEWS)
-    while queue:
-        name = queue.pop()
-        names.add(name)
-        queue += set(read_header(definitions[name]).sources) & set(definitions) - names
-    return [(name, sql) for name, sql in definitions.items() if name in names]
+def _definitions_over_alerts() -> dict[str, str]:
+    """Return the outcome views and those they read over the alerts, in order of dependence; other sources stay rows."""
+    definitions, over_alerts, needed = views(), {ALERTS}, set(OUTCOME_VIEWS)
+    sources = {name: set(read_header(sql).sources) for name, sql in definitions.items()}
+    for name in definitions:
+        if sources[name] & over_alerts:
+            over_alerts.add(name)
+    for name in reversed(definitions):
+        if name in needed:
+            needed |= sources[name] & over_alerts
+    return {name: sql for name, sql in definitions.items() if name in needed & over_alerts}
 
 
 def _replace(con: duckdb.DuckDBPyConnection, name: str, rows: Any) -> None:
     con.register("frame", rows)
-    con.execute(f"create or replace table tables.{name} as select * from frame")
+    con.execute(f"create or replace table {name} as select * from frame")
     con.unregister("frame")

@@ -1,5 +1,6 @@
 """Read the work of each action (minutes, people, tools, part, zone, task) and choose the one action of an alert."""
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from importlib import resources
@@ -11,12 +12,13 @@ from hdt_core.alerts.phrases import THEN
 from hdt_core.components import components
 from hdt_core.components.declaration import REPLACED
 from hdt_core.loading import parse_toml
+from pipelines.report import words
 from pipelines.storage.objects import StoreError
 from pipelines.storage.settings import read_values
 from pipelines.words import _, several
 
 NAME = "tasks.toml"
-ACTIONS = {"inspect": "inspect", "wash": "wash", "replace": "replace", "defer": "defer to the check"}
+ACTIONS = {"inspect": "inspect", "wash": "wash", "replace": "replace", "defer": "nothing until then"}
 """Labels of what may be done at the next stop."""
 WASHABLE = ("HX_FOULING", "CC_DEGRADED")
 """Diagnoses of wear alone: the choice with the least expected cost is the action."""
@@ -26,6 +28,7 @@ BEST_CHOICE = """
 """Joins the choice of least expected cost, `n.choice`, to alerts `a`."""
 MOST = {"minutes": 10_000, "people": 100}
 MAX_TEXT = 200
+_CLAUSE_ENDS = r" \(|; |\. |\.$"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +93,16 @@ def action_of(alert: Mapping[str, Any], tasks: Mapping[str, Task]) -> str:
     if not is_wear or THEN in alert["recommended_action"]:
         return "inspect"
     first = next((a for a in ("wash", "replace") if a in tasks), "inspect")
-    return alert["choice"] if alert["choice"] in ACTIONS else first
+    return alert["choice"] if alert.get("choice") in ACTIONS else first
+
+
+def describe_action(action: str, alert: Mapping[str, Any], until: str = "") -> str:
+    """Format an action in less than fifteen words: the first clause of a recommendation where that is to look."""
+    if action == "inspect" and alert["recommended_action"]:
+        return re.split(_CLAUSE_ENDS, words.plain(alert["recommended_action"]))[0]
+    if action == "defer" and until:
+        return _("Nothing until {until}", until=until)
+    return _(ACTIONS[action]).capitalize()
 
 
 def work_text(tasks: Tasks, alert: Mapping[str, Any]) -> str:
@@ -98,7 +110,7 @@ def work_text(tasks: Tasks, alert: Mapping[str, Any]) -> str:
     own = tasks_of(tasks, alert)
     action = action_of(alert, own)
     text = own[action].text() if action in own else ""
-    name = _(ACTIONS[action]).capitalize()
+    name = describe_action(action, alert)
     return f"{name}: {text}" if text else name
 
 

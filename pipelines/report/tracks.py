@@ -11,7 +11,6 @@ from typing import Any
 import polars as pl
 
 from hdt_core.components import components
-from hdt_core.prognosis.model import HORIZON
 from hdt_core.robust import Z_90
 from pipelines.report import words
 from pipelines.report.facts import Facts
@@ -51,17 +50,17 @@ def fleet_band(facts: Facts) -> Columns:
 def card_id(row: Row) -> str:
     """Return the id of the card of a pack, or of a unit of another component."""
     key = words.unit_key(row)
-    return anchor("unit", row["component"], *key) if "name" in row else anchor("pack", *key)
+    return anchor("unit", row["component"], *key) if row["component"] else anchor("pack", *key)
 
 
 def tracks(facts: Facts) -> dict[str, Row]:
     """Return the data of the chart of each pack and unit with a loss on record, by the id of its card."""
     charts: dict[str, Row] = {}
     packs: dict[tuple[Any, ...], list[str]] = {}
-    for row in (*facts["ranking"].to_dicts(), *facts["components"].to_dicts()):
+    for row in (unit.values for unit in facts.rows):
         key, card = words.unit_key(row), card_id(row)
         parts = {name: facts.of_pack(name, *key) for name in ("health", "alerts", "maintenance", "messages")}
-        if "name" in row:
+        if row["component"]:
             losses = facts.of_pack("component_losses", *key).filter(component=row["component"])
             alerts = parts["alerts"].filter(component=row["component"])
             parts = {name: frame.clear() for name, frame in parts.items()} | {"health": losses, "alerts": alerts}
@@ -70,9 +69,8 @@ def tracks(facts: Facts) -> dict[str, Row]:
             health = parts["health"].rename({"value": "loss", "sd": "loss_sd"})
             losses, compressor = (health.filter(parameter=p) for p in ("hx_fouling", "cc_efficiency_loss"))
         if parts["health"].height:
-            outlook = words.likeliest_outlook(facts["outlooks"], row)
-            charts[card] = _track(losses, parts, outlook, _columns(thin(compressor)))
-            if "name" not in row:
+            charts[card] = _track(losses, parts, row, _columns(thin(compressor)))
+            if row["component"] is None:
                 packs.setdefault(key[:2], []).append(card)
     for cards in packs.values():  # of two packs each names the other
         charts |= {a: charts[a] | {"other": b} for a, b in zip(cards, cards[1:] + cards[:1], strict=True) if a != b}
@@ -91,7 +89,7 @@ def _track(losses: pl.DataFrame, parts: dict[str, pl.DataFrame], outlook: Row, c
     own = _columns(flights)
     whole = parts["health"].select(a=_ms("departed_at").min(), b=_ms("departed_at").max())
     start, now = whole.row(0)
-    line = cc if outlook["component"] == "CC" else own
+    line = cc if outlook["outlook_component"] == "CC" else own
     fan = _fan(outlook, now, line["y"][-1]) if line["y"] else {}
     span = max(now - start, DAY_MS)
     ahead = min(max([0.22 * span, *(x - now for x, _y in fan.get("area", ()))]), 0.6 * span)
@@ -112,8 +110,8 @@ def _fan(outlook: Row, now: int, loss: float) -> Row:
     if per_day is None or None in ends:
         return {}
     low, median, high = (round(now + n * DAY_MS / per_day) for n in ends)
-    level = max(100.0 * components()[outlook["component"]].limit.mean, loss)
-    near = outlook["rul_flights"] < HORIZON and (outlook["p_event_50"] or 0.0) >= 0.05
+    level = max(100.0 * components()[outlook["outlook_component"]].limit.mean, loss)
+    near = not outlook["is_bound"]
     return {
         "area": [(now, loss), (low, level), (high, level)], "level": level,
         "median": [(now, loss), (median, level)] if near else [],

@@ -5,8 +5,6 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import polars as pl
-
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.components import components, recorded_components
 from hdt_core.flight.admission import SECOND_LEVEL
@@ -38,6 +36,10 @@ THRESHOLDS = {
 """Quantity and unit of each alert limit."""
 FEW = 10
 """Cases with an outcome below which a hit rate is marked as based on few; also the packs that one line names."""
+FEWEST = 3
+"""Other units that came to a loss below which nothing is written of them."""
+NEAR = 0.05
+"""Chance of a message within 50 flights below which flights left are given as a bound, as in `unit_rows`."""
 DASH = "\N{EN DASH}"
 # control characters and those that change the direction of text: a name must not reorder its sentence
 _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufffe\uffff]")
@@ -96,7 +98,8 @@ def _unknown(rows: list[Row], missing: str) -> str:
 
 def _missing(row: Row) -> str:
     """State why there is no estimate, as far as the flights show it."""
-    texts, columns = UNIT_REASONS if "name" in row else REASONS, row.get("missing_columns")
+    texts = UNIT_REASONS if row["component"] else REASONS
+    columns = row.get("missing_columns")
     reason = texts.get(row["missing_reason"] or "")
     why = [_(reason)] if reason else []
     return "".join(f"; {x}" for x in [*why, *([_("without values: {columns}", columns=columns)] if columns else [])])
@@ -120,33 +123,32 @@ def chance(value: float | None) -> str:
     return "< 1 %" if value < 0.01 else "> 99 %" if value > 0.99 else percent(value)
 
 
-def likeliest_outlook(outlooks: pl.DataFrame, row: Row) -> dict[str, Any]:
-    """Return the outlook of a row's component whose message before the next chance to act is likeliest.
-
-    `outlooks` has a row a unit and component; without one all values are None.
-    """
-    codes = [row["component"]] if "name" in row else ["HX", "CC"]
-    own = outlooks.filter(operator=row["operator"], tail=row["tail"], pack=row["pack"])
-    rows = own.filter(pl.col("component").is_in(codes)).to_dicts()
-    empty = dict.fromkeys(outlooks.columns) | {"component": codes[0]}
-    return min(rows, key=lambda o: (-(chance_before_check(o) or 0.0), codes.index(o["component"])), default=empty)
-
-
-def chance_before_check(outlook: Row) -> float | None:
-    """Return the chance of a message before the next chance to act, or the nearest to it that is known."""
-    chances = (outlook[k] for k in ("chance", "chance_at_least", "p_event_50"))
-    return next((c for c in chances if c is not None), None)
-
-
-def chance_by(outlook: Row) -> str:
-    """Format that chance with its day: `67 % by 2024-07-07`."""
-    until = " ".join(filter(None, (outlook["check_name"], day(outlook["until_on"]))))
-    text = chance(chance_before_check(outlook))
-    if outlook["chance"] is not None:
+def chance_by(row: Row) -> str:
+    """Format the chance of a message with its day: `67 % by 2024-07-07`."""
+    until = " ".join(filter(None, (row["check_name"], day(row["until_on"]))))
+    text = chance(row["chance"])
+    if row["chance"] is None:
+        return text
+    if row["chance_kind"] == "by":
         return _("{chance} by {until}", chance=text, until=until)
-    if outlook["chance_at_least"] is not None:
+    if row["chance_kind"] == "at_least":
         return _("more than {chance} by {until}", chance=text, until=until)
-    return text if outlook["p_event_50"] is None else _("{chance} in 50 flights", chance=text)
+    return _("{chance} in 50 flights", chance=text)
+
+
+STATES = {
+    "acknowledged": "acknowledged", "muted": "muted until {day}", "worsened": "muted, now worse",
+    "confirmed": "confirmed, not repaired yet",
+}  # fmt: skip
+"""Labels of the states of the view `cases`; a new case has none."""
+
+
+def case_state(row: Row) -> str:
+    """Format the state of a case and its owner: `acknowledged, with Ada`; empty of a new one."""
+    label = STATES.get(row["case_state"] or "")
+    state = _(label, day=day(row["muted_until"])) if label else ""
+    owner = _("with {who}", who=row["owner"]) if row["owner"] else ""
+    return ", ".join(filter(None, (state, owner)))
 
 
 def message_on_record(row: Row) -> str:
@@ -169,12 +171,6 @@ def switched_off(row: Row) -> str:
     if row.get("off_since") is None:
         return ""
     return _("switched off since {day}", day=day(row["off_since"]))
-
-
-def loss(row: Row) -> str:
-    """Format the loss of a pack's exchanger, or of a unit, with its interval."""
-    name = "loss" if "name" in row else "hx_fouling"
-    return share(row[name], row[f"{name}_sd"])
 
 
 def share(value: float | None, sd: float | None, digits: int = 0) -> str:
@@ -216,11 +212,27 @@ def flights_left(row: Row) -> str:
         return _("not known")
     if low is None or high is None:
         return _("about {n}", n=number(rul))
-    if rul >= HORIZON or (p is not None and p < 0.05):
+    if rul >= HORIZON or (p is not None and p < NEAR):
         return _("more than {n}", n=number(low))
     ends = {"low": number(low), "high": number(high)}
     interval = _("{low} to {high} or more", **ends) if high >= HORIZON else _("{low} to {high}", **ends)
     return f"{number(rul)} ({interval})"
+
+
+def reference(row: Row | None) -> str:
+    """Format what became of other units at this loss, a row of `reference_classes`; empty where too few came to it."""
+    if row is None or row["n_units"] < FEWEST:
+        return ""
+    values = {k: format_count(row[k]) for k in ("n_messages", "n_units", "n_flying")}
+    text = _(
+        "At {loss} lost, {n_messages} of {n_units} other units had the message", loss=percent(row["loss"]), **values
+    )
+    if row["n_messages"]:
+        text += _(" within {n} flights", n=number(row["flights_to_message_most"]))
+    if row["flights_to_message_median"] is not None:
+        text += _(", half of the units within {n}", n=number(row["flights_to_message_median"]))
+    text += _("; {n_flying} still fly.", **values)
+    return text + (" " + _("That disagrees with the forecast.") if row["disagrees"] else "")
 
 
 def work_done(row: Row) -> str:
@@ -237,16 +249,17 @@ def diagnosis(code: str) -> str:
 
 
 def hit_rate(row: Row | None) -> str:
-    """Format how often alerts of a kind were right: `3 of 4 confirmed (75 %, 37 to 94); 2 still open; few cases`."""
+    """Format how often alerts of a kind were right: `3 of 4 right (75 %, 37 to 94), 2 by the message; 2 still open`."""
     if row is None or not row["n_judged"]:
         return _("no case has an outcome yet")
     share_right = _(
-        "{right} of {judged} confirmed ({share}, {low} to {high})",
+        "{right} of {judged} right ({share}, {low} to {high}), {by_message} by the message",
         right=format_count(row["n_right"]),
         judged=format_count(row["n_judged"]),
         share=percent(row["hit_rate"]),
         low=number(100 * row["hit_rate_low"]),
         high=number(100 * row["hit_rate_high"]),
+        by_message=format_count(row["n_message"]),
     )
     n_open = several("; {n} still open", "; {n} still open", row["n_open"]) if row["n_open"] else ""
     few = _("; few cases") if row["n_judged"] < FEW else ""

@@ -3,6 +3,7 @@
 -- unit_urgencies), plan (an alert is open, or that chance is one in ten), none, unknown (no estimate of the unit: its
 -- columns are null)
 -- name: what the night shift calls the component
+-- loss: its loss after the last flight [-]
 -- lost: what it loses
 -- last_flight_id: its last flight
 -- last_departed_at: departure of that
@@ -12,8 +13,10 @@
 -- missing_reason: why most legs since were not admitted; a code, as in component_legs
 -- work_action: CLEANED or REPLACED, where that was done since the last flight
 -- work_on: day of that work
+-- raised_at: when the oldest of the open alerts was raised
+-- found_clean_on: day of an inspection without a finding since the last flight
 -- Grain: operator, tail, pack, component. Reads: component_features, missing_estimates, unit_urgencies,
--- unestimated_units, alert_urgencies, tables.components.
+-- unestimated_units, alert_urgencies, clean_units, tables.components.
 create or replace view component_ranking as
 with latest as (
     select
@@ -46,6 +49,7 @@ alerted as (
         pack,
         component,
         string_agg(distinct diagnosis, ', ') as diagnoses,
+        min(raised_at) as raised_at,
         bool_or(urgency = 'act') as any_act
     from alert_urgencies
     where closed_at is null
@@ -80,8 +84,12 @@ judged as (
         m.since as missing_since,
         m.reason as missing_reason,
         u.work_action,
-        u.work_on
+        u.work_on,
+        a.raised_at,
+        q.found_clean_on
     from latest as l
+    left join clean_units as q
+        on l.operator = q.operator and l.tail = q.tail and l.pack = q.pack and l.component = q.component
     left join unestimated_units as u
         on l.operator = u.operator and l.tail = u.tail and l.pack = u.pack and l.component = u.component
     left join missing_estimates as m

@@ -25,8 +25,11 @@
 -- message_flights: flights on which it came
 -- message_flown: flights since, the message's included
 -- off_since: departure of the first flight of the present row of flights with the pack switched off
+-- found_clean_on: day of an inspection of the exchanger without a finding since the last flight
+-- urgent_since: since when a message, or the chance of one, asks for work now
+-- urgent_by: message, flights or fleet, as in unit_urgencies
 -- Grain: pack. Reads: health_parameters, missing_estimates, unit_urgencies, unestimated_units,
--- alert_urgencies, airframes, open_messages, tables.legs_verdicts, tables.components.
+-- alert_urgencies, airframes, open_messages, clean_units, tables.legs_verdicts, tables.components.
 create or replace view fleet_ranking as
 with others as (
     select component
@@ -78,6 +81,8 @@ outlook as (
         any_value(p_event_50) filter (where component = 'CC') as cc_p_event_50,
         max(chance) filter (where component in ('HX', 'CC')) as chance,
         max(message_cost) filter (where component in ('HX', 'CC')) as message_cost,
+        min(urgent_since) filter (where component in ('HX', 'CC')) as urgent_since,
+        arg_min(urgent_by, urgent_since) filter (where component in ('HX', 'CC')) as urgent_by,
         list(urgency) filter (where component in ('HX', 'CC')) as urgencies
     from unit_urgencies
     where
@@ -172,6 +177,9 @@ judged as (
         o.cc_p_event_50,
         o.chance,
         o.message_cost,
+        o.urgent_since,
+        o.urgent_by,
+        q.found_clean_on,
         w.work_action,
         w.work_on,
         t.message_at,
@@ -188,6 +196,8 @@ judged as (
     left join switched_off as s on l.operator = s.operator and l.tail = s.tail and l.pack = s.pack
     left join unestimated_units as w
         on l.operator = w.operator and l.tail = w.tail and l.pack = w.pack and w.component = 'HX'
+    left join clean_units as q
+        on l.operator = q.operator and l.tail = q.tail and l.pack = q.pack and q.component = 'HX'
 ),
 
 urgent as (
@@ -242,6 +252,9 @@ select
     u.message_flights,
     u.message_flown,
     u.off_since,
+    u.found_clean_on,
+    u.urgent_since,
+    u.urgent_by,
     n.msn
 from urgent as u
 left join airframes as n on u.operator = n.operator and u.tail = n.tail

@@ -1,22 +1,23 @@
 -- Wash, replace or defer at the next stop: with what chance of a message until the next check, and at what cost?
--- The chance of a washed or replaced unit is the median of the fleet's prognoses of such units, 5 to 25 flights after
--- the work. What a part is worth beyond the check is not included.
+-- The chance is the forecast of that very unit from the loss that the work leaves, at its own pace and demand; it never
+-- rises with the thoroughness of the work. What a part is worth beyond the check is not included.
 -- choice: wash, replace, or defer (to the check)
 -- check_name: the check it is deferred to: the next that is planned after the aircraft's last flight
 -- until_on: its day; where none is planned the end of horizon_days of the cost table
 -- days: from the aircraft's last flight until then [days]
 -- flights: the same in flights, at the aircraft's rate [flights]
 -- flights_per_day: as in flight_rates
+-- loss_left: what the choice leaves of the loss, the mean of what it may leave [-]
+-- loss_left_sd: spread of what it may leave [-]
+-- rests_on: what the effect of a wash rests on: prior, or the number of washes of the fleet after like losses
 -- chance: of a message by then, with this choice [-]
 -- chance_at_least: of 300 flights, where the check lies beyond them [-]
--- cost: of the work [currency]
+-- cost: of the work; of defer that at the check [currency]
 -- expected_cost: cost and chance times the cost of a message [currency]
--- n_units: units of the fleet that the chance after a wash or a replacement rests on
 -- place: 1 is the least expected cost of the pack's component; NULL where there is none
 -- status: ok; no_check_planned (until_on is the horizon's end); beyond_horizon (of 300 flights); contradicted (the part
--- was found clean since); few_units (fewer than two such units on record); no_rate (flights a day unknown); no_cost
--- Grain: operator, tail, pack, component, choice. Reads: prognoses, check_chances, tables.raw_costs,
--- tables.raw_maintenance.
+-- was found clean since); no_rate (flights a day unknown); no_cost
+-- Grain: operator, tail, pack, component, choice. Reads: check_chances, tables.prognosis_choices, tables.raw_costs.
 create or replace view next_stop as
 with units as (
     select *
@@ -24,140 +25,77 @@ with units as (
     where is_observed -- money needs more than what the prior says of any unit
 ),
 
-renewals as (
-    select
-        operator,
-        tail,
-        pack,
-        component,
-        counts_from,
-        case when bool_or(action = 'REPLACED') then 'replace' else 'wash' end as choice
-    from tables.raw_maintenance
-    where action in ('REPLACED', 'CLEANED') and pack is not null
-    group by operator, tail, pack, component, counts_from
-),
-
-young as (
-    select
-        p.component,
-        r.choice,
-        [p.operator, p.tail, p.pack::varchar, r.counts_from::varchar] as unit,
-        [0.0, p.p_event_25, p.p_event_50, p.p_event_100, p.p_event_200, p.p_event_300] as points
-    from prognoses as p
-    asof inner join renewals as r
-        on
-            p.operator = r.operator
-            and p.tail = r.tail
-            and p.pack = r.pack
-            and p.component = r.component
-            and p.departed_at >= r.counts_from
-    where p.p_event_50 is not null
-    qualify
-        row_number() over (
-            partition by p.operator, p.tail, p.pack, p.component, r.counts_from
-            order by p.departed_at asc
-        ) between 5 and 25
-),
-
-renewed as (
-    select
-        component,
-        choice,
-        count(distinct unit) as n_units,
-        [
-            0.0,
-            median(points[2]),
-            median(points[3]),
-            median(points[4]),
-            median(points[5]),
-            median(points[6])
-        ] as points
-    from young
-    group by component, choice
-),
-
 costs as (
     select
         component,
-        item,
+        case when item = 'at_check' then 'defer' else item end as choice,
         max(cost) as cost,
         any_value(currency) as currency
     from tables.raw_costs
-    group by component, item
+    group by all
 ),
 
 choices as (
-    select
-        component,
-        case when item = 'at_check' then 'defer' else item end as choice,
-        cost,
-        currency
-    from costs
-    where item != 'message'
-    union all by name
-    select distinct
-        u.component,
-        'defer' as choice,
-        null::double as cost,
-        null::varchar as currency
-    from units as u
-    anti join costs as c on u.component = c.component and c.item = 'at_check'
-),
-
-chances as (
     select
         u.operator,
         u.tail,
         u.pack,
         u.component,
+        c.choice,
         u.check_name,
         u.until_on,
         u.days,
         u.flights,
         u.flights_per_day,
-        o.choice,
-        o.cost,
-        m.cost as message_cost,
-        o.currency,
+        c.loss_left,
+        c.loss_left_sd,
+        c.rests_on,
         u.status as prognosis_status,
-        case when o.choice != 'defer' then coalesce(r.n_units, 0) end as n_units,
-        case when o.choice = 'defer' then u.points when r.n_units >= 2 then r.points end as points
+        [0.0, c.p_event_25, c.p_event_50, c.p_event_100, c.p_event_200, c.p_event_300] as points
     from units as u
-    inner join choices as o on u.component = o.component
-    left join renewed as r on o.component = r.component and o.choice = r.choice
-    left join costs as m on u.component = m.component and m.item = 'message'
+    inner join tables.prognosis_choices as c
+        on
+            u.operator = c.operator
+            and u.tail = c.tail
+            and u.pack = c.pack
+            and u.component = c.component
+            and u.departed_at = c.departed_at
 )
 
 select
-    operator,
-    tail,
-    pack,
-    component,
-    choice,
-    check_name,
-    until_on,
-    days,
-    flights,
-    flights_per_day,
-    chance_within(points, flights) as chance,
-    case when flights > 300 then points[6] end as chance_at_least,
-    cost,
-    cost + chance_within(points, flights) * message_cost as expected_cost,
-    currency,
-    n_units,
+    c.operator,
+    c.tail,
+    c.pack,
+    c.component,
+    c.choice,
+    c.check_name,
+    c.until_on,
+    c.days,
+    c.flights,
+    c.flights_per_day,
+    c.loss_left,
+    c.loss_left_sd,
+    c.rests_on,
+    chance_within(c.points, c.flights) as chance,
+    case when c.flights > 300 then c.points[6] end as chance_at_least,
+    w.cost,
+    w.cost + chance_within(c.points, c.flights) * m.cost as expected_cost,
+    w.currency,
     case
         when expected_cost is not null
             then row_number() over (
-                partition by operator, tail, pack, component order by expected_cost asc nulls last, choice asc
+                partition by c.operator, c.tail, c.pack, c.component
+                order by expected_cost asc nulls last, c.choice asc
             )
     end as place,
     case
-        when flights is null then 'no_rate'
-        when points is null then 'few_units'
-        when flights > 300 then 'beyond_horizon'
-        when choice = 'defer' and prognosis_status != 'ok' then prognosis_status
-        when cost is null or message_cost is null then 'no_cost'
-        when check_name is null then 'no_check_planned'
+        when c.flights is null then 'no_rate'
+        when c.flights > 300 then 'beyond_horizon'
+        when c.choice = 'defer' and c.prognosis_status != 'ok' then c.prognosis_status
+        when w.cost is null or m.cost is null then 'no_cost'
+        when c.check_name is null then 'no_check_planned'
         else 'ok'
     end as status
-from chances;
+from choices as c
+left join costs as w on c.component = w.component and c.choice = w.choice
+left join costs as m on c.component = m.component and m.choice = 'message';

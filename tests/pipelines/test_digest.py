@@ -83,9 +83,9 @@ def test_work_orders_say_by_when(two_nights, tmp_path):
     assert [r["alert_id"] for r in rows] == ["aaaa", "cccc"]
     # five flights at two a day after the last one: two days and a half later the message may have come
     assert {r["due"] for r in rows} == {f"{flight(42)['departed_at'] + dt.timedelta(days=3):%Y-%m-%d}"}
-    assert [(r["minutes"], r["people"], r["task"]) for r in rows] == [(120, 2, "21-52-00-100-801")] * 2
+    assert [(r["minutes"], r["people"], r["task"]) for r in rows] == [(45, 1, "21-52-00-210-801")] * 2
     page = (tmp_path / "out/orders.html").read_text()
-    assert "120 min, 2 people<br>task 21-52-00-100-801<br>zone 191/192" in page
+    assert "45 min, 1 person<br>task 21-52-00-210-801<br>zone 191/192" in page
     assert "HDT-aaaa" in page
     assert "&lt;now&gt;" in page
     with connect(two_nights) as con:

@@ -26,6 +26,7 @@ from pipelines.cli import app
 from pipelines.digest import declaration, delivery
 from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.digest.delivery import send_digests
+from pipelines.orchestration.around_night import report_failure
 from pipelines.storage.publication import publish
 
 SECRET = "s3cret-pass-word"
@@ -143,6 +144,28 @@ def test_a_night_that_is_killed_while_it_tells_tells_nobody_twice(home, monkeypa
         assert send_digests(home) == []
         assert [p.path.rpartition("/")[2] for p in posts] == ["one", "two", "three"]
         assert len({p.headers["Idempotency-Key"] for p in posts}) == 3
+
+
+def test_failed_night_is_sent_once(home):
+    with webhook() as (url, posts):
+        declare(home, *({"name": n, "kind": "webhook", "url": url} | own for n, own in
+                        (("all", {}), ("one", {"operator": "AQX"}))))  # fmt: skip
+
+        done = CliRunner().invoke(app, ["nightly", "--landing", str(home), "--home", str(home)])
+
+    assert done.exit_code
+    (post,) = posts
+    assert "no fleet.csv" in post.body["text"]
+
+
+def test_failure_is_reported_where_no_receiver_hears(home):
+    declare(home, {"name": "ops", "kind": "webhook", "url": "http://127.0.0.1:9/hook"})
+    lines: list[str] = []
+
+    with pytest.raises(OSError, match="full"), report_failure(home, lines.append):
+        raise OSError("disk full")
+
+    assert lines[0].startswith("ops got no message of the failed night")
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 """A home names its estimators, and a night runs them."""
 
 import pytest
-from nights import once, run
+from nights import run
 from zones import drop_fleet, simulated
 
 from pipelines.storage.catalog import connect
@@ -12,7 +12,7 @@ LINE = 'HX = "ekf"\nCC = { design = "pinn", health = "ukf" }\n'
 @pytest.fixture(scope="module")
 def homes(tmp_path_factory):
     """Landing zone and home of an aircraft whose second night has methods of its own, and what the nights ran."""
-    top = once(tmp_path_factory, "estimators", lambda folder: folder.mkdir())
+    top = tmp_path_factory.mktemp("estimators")
     landing, home = top / "landing", top / "home"
     landing.mkdir()
     home.mkdir()

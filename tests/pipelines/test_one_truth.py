@@ -159,8 +159,8 @@ def test_a_card_tells_then_from_now(report):
 @pytest.mark.parametrize("words", ["T-1", "t-1", "T-1 1", "T-1/1", "AAA T-1", "AAA T-1 1", "T-1 pack 1 (left)"])
 def test_a_pack_may_be_named_as_night_and_report_name_it(home, words):
     answer = str(explain(home, words))
-    head = "AAA T-1 pack 1 (left): Act now. Heat transfer lost 34 % (32 to 36), flights left 24 (12 to 36)"
-    assert answer.startswith(head)
+    head = "AAA T-1 pack 1 (left): Act now since 2024-04-10. Heat transfer lost 34 % (32 to 36); flights left 24"
+    assert answer.startswith(f"{head} (12 to 36)")
     then, now = answer.split("When raised (2024-03-11 06:00 UTC, after T-1_20240311_01, medium)")[1].split("Now (after")
     assert "flights left (90 %) more than 97; message in 50 flights 3 %. Then aaaa1111." in then
     assert "flights left (90 %) 24 (12 to 36); message in 50 flights 88 %. Now aaaa1111." in now
@@ -168,7 +168,7 @@ def test_a_pack_may_be_named_as_night_and_report_name_it(home, words):
 
 def test_a_tail_names_its_worst_pack_and_not_its_latest_alert(home):
     answer = str(explain(home, "T-2"))
-    assert answer.startswith("AAA T-2 pack 2 (right): Act now.")
+    assert answer.startswith("AAA T-2 pack 2 (right): Act now since")
     assert "Do bbbb2222." in answer
     assert "Also AAA T-2 pack 1 (left): Plan, heat exchanger fouling, sensor fault." in answer
     other = str(explain(home, "T-2 1"))
@@ -184,7 +184,7 @@ def test_a_pack_without_an_open_alert_says_so_and_words_without_quotes_are_one_n
     assert "At its end (after" in closed
     done = CliRunner().invoke(app, ["explain", "T-1", "1", "--home", str(home)])
     assert done.exit_code == 0, done.output
-    assert "AAA T-1 pack 1 (left): Act now." in done.output
+    assert "AAA T-1 pack 1 (left): Act now since" in done.output
 
 
 @pytest.mark.parametrize(

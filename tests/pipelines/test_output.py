@@ -13,6 +13,8 @@ from command import hdt
 from nights import empty_home
 
 from pipelines.cli import main
+from pipelines.cli.night import print_ranking
+from pipelines.storage.publication import publish
 
 
 @contextmanager
@@ -55,6 +57,15 @@ def test_text_is_escaped_in_ascii(tmp_path):
     text = printed("query", "--home", str(tmp_path), "select 'é 😀' as name", encoding="ascii")
 
     assert r"| \u00e9 \ud83d\ude00" in text
+
+
+def test_home_without_packs_prints_an_empty_ranking(tmp_path, capsys):
+    empty_home(tmp_path)
+    publish(tmp_path)
+
+    print_ranking(tmp_path)
+
+    assert "flights left (90 %)" in capsys.readouterr().out
 
 
 def test_json_stays_json_in_ascii(tmp_path):

@@ -170,7 +170,7 @@ def test_the_alert_comes_before_the_message_of_a_loss_known_as_made(world):
     assert flight_id(tail, 60) < raised < flight_id(tail, 130)  # 8 % are lost at flight 94
     assert closed.date() == (datetime(2024, 3, 1, tzinfo=UTC) + timedelta(days=REPLACED)).date()
     assert action.startswith("Borescope")
-    assert query_rows(world, "select outcome from alert_outcomes where component = 'NG'") == [("confirmed",)]
+    assert query_rows(world, "select outcome from alert_outcomes where component = 'NG'") == [("found",)]
     ((lead,),) = query_rows(world, "select lead_flights from alert_lead_times where component = 'NG'")
     assert 60 < lead < 130
     what = "flight_id, rul_low, rul_flights, rul_high, p_event_50"

@@ -55,7 +55,7 @@ def test_line_of_figure_12_follows_the_diffuser_and_its_image_is_the_same_bytes(
     drawn = []
     monkeypatch.setattr(figures, "figure_12", lambda *of: drawn.append(of) or figure_12(*of))
     twin = flights.with_columns(admitted=pl.lit(True))
-    page = figures.inlet_group(Facts({"twin": twin}, {}, replace(dsm, compressor=fit), {}))
+    page = figures.inlet_group(Facts("", [], {"twin": twin}, {}, replace(dsm, compressor=fit), {}))
     assert [of[1:] for of in drawn] == [(fit, "si"), (fit, "us")]
     assert set(page["images"]) == {"si", "us"}
     assert as_svg(figure_12(flights, dsm.compressor)) == as_svg(figure_12(flights, dsm.compressor))

@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import shutil
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -81,25 +82,15 @@ def fleet(alone, elsewhere, monkeypatch):
     return elsewhere
 
 
-class AtFirstBlock(Silent):
-    """Does something once, when the first block of flights is made and others are under way."""
-
-    def __init__(self, what) -> None:
-        self.what, self.label = what, ""
-
-    def start(self, label: str, total: int) -> None:
-        self.label = label
-
-    def advance(self, cells: int) -> None:
-        if self.label == "flights" and self.what:
-            what, self.what = self.what, None
-            what()
+def is_at_work(fleet, name: str) -> bool:
+    log = fleet.read_log(name).split(" ready.")[-1]
+    return log.count("] received") > log.count("] succeeded")
 
 
-def night_over(fleet, progress=None) -> nightly.Night:
+def night_over(fleet) -> nightly.Night:
     home = fleet.home("night")
     with around_night.lock_home(home):
-        return nightly.run_night(fleet.landing, home, progress or Silent())
+        return nightly.run_night(fleet.landing, home, Silent())
 
 
 def test_two_workers_make_what_one_process_makes_and_nothing_twice(fleet, alone):
@@ -113,13 +104,17 @@ def test_two_workers_make_what_one_process_makes_and_nothing_twice(fleet, alone)
 
 
 def test_a_killed_worker_and_a_broker_that_restarts_lose_nothing(fleet, alone):
-    from benchmarks.site import restart_broker
+    from benchmarks.site import restart_broker, wait
 
     def strike() -> None:
+        wait(lambda: is_at_work(fleet, "one"), 120, "the worker takes no run")
         fleet.kill("one")
         restart_broker()
 
-    done = night_over(fleet, AtFirstBlock(strike))
+    with ThreadPoolExecutor() as pool:
+        struck = pool.submit(strike)
+        done = night_over(fleet)
+    struck.result()
     assert done.failed == {}
     assert fingerprint(fleet.home("night")) == alone[0]
     # lost at work, or between the broker and the run's first word

@@ -26,14 +26,23 @@ def prognosis(n: int, points: dict[int, float] | None = None, **more: object) ->
     return flight(n) | {"pack": 1, "component": "HX"} | chances | {"rul_flights": 120.0, "rul_low": 24.0} | more
 
 
-def stop(check: int | None = None, costs: dict | None = None, work: tuple[dict, ...] = (), **said_now: object):
+def choices(n: int) -> list[dict]:
+    """Choices after flight n: each with its own share of the chances of deferring."""
+    shares = {"defer": 1.0, "wash": 0.5, "replace": 0.1}
+    return [
+        prognosis(n, {k: share * p for k, p in POINTS.items()}) | {"choice": choice, "rests_on": "prior"}
+        for choice, share in shares.items()
+    ]
+
+
+def stop(check: int | None = None, costs: dict | None = None):
     days = 60
     own = {k: OWN[k] for k in ("operator", "tail")}
     con = catalog(
         raw_flights=flown(3, days),
         twin_health=[fouling(n, 0.2) for n in range(days)],
-        prognoses=[*(prognosis(n) for n in range(days - 1)), prognosis(days - 1, **said_now)],
-        raw_maintenance=list(work),
+        prognoses=[prognosis(n) for n in range(days)],
+        prognosis_choices=choices(days - 1),
         raw_checks=[
             own | {"planned_on": (START + dt.timedelta(days=days - 1 + n)).date(), "name": f"A{n}"}
             for n in (() if check is None else (-5, check, 999))
@@ -61,24 +70,25 @@ def test_a_short_record_gives_what_it_has(days, weeks, rate):
     assert rows(con, "select n_weeks, flights_per_day from flight_rates") == [(weeks, rate)]
 
 
-def test_flights_left_become_days_and_a_new_units_chance_is_that_of_new_units():
+def test_flights_left_become_days():
     con = catalog(raw_flights=flown(3, 60), prognoses=[prognosis(59, rul_high=300.0)])
     dates = rows(con, "select days_left, days_left_low, days_left_high, due_on, status from due_dates")
     assert dates == [(40.0, 8.0, None, (START + dt.timedelta(days=59 + 40)).date(), "ok")]
     con = catalog(raw_flights=flown(3, 60), prognoses=[prognosis(59, rul_flights=300.0, beyond_horizon=True)])
     assert rows(con, "select status from due_dates") == [("beyond_horizon",)]
-    choices = stop(check=10, work=(replaced(10), replaced(30), replaced(5, component="CC")))
-    _, _, chance, cost, place, status = choices["replace"]
-    assert status == "ok"
-    assert chance == pytest.approx(choices["defer"][2]), "every flight of this fleet says the same"
-    assert cost == pytest.approx(1000 + 2000 * chance)
-    assert (choices["defer"][4], place) == (1, 2)
-    choices = stop(check=10, costs={})
-    assert choices["defer"][3:] == (None, None, "no_cost")
-    assert choices["defer"][2] is not None
-    choices = stop(check=10)
-    assert choices["replace"][2:] == (None, None, None, "few_units")
-    assert choices["wash"][2:] == (None, None, None, "few_units")
+
+
+def test_least_expected_cost_comes_first():
+    stops = stop(check=10)
+    _, _, chance, cost, _, _ = stops["wash"]
+    assert cost == pytest.approx(100 + 2000 * chance)
+    assert {choice: row[4] for choice, row in stops.items()} == {"wash": 1, "defer": 2, "replace": 3}
+
+
+def test_unpriced_choices_have_a_chance_alone():
+    stops = stop(check=10, costs={})
+    assert {row[3:] for row in stops.values()} == {(None, None, "no_cost")}
+    assert stops["replace"][2] < stops["wash"][2] < stops["defer"][2]
 
 
 @pytest.mark.parametrize(("days", "between"), [(10, (25, 50)), (30, (50, 100)), (50, (100, 200)), (1, (0, 25))])

@@ -12,7 +12,6 @@ from small_catalog import OWN, START, alert, catalog, flight, fouling, message, 
 from hdt_core.alerts.cases import UNOBSERVED
 from hdt_core.components import component_rows
 from hdt_core.records.unit_index import UTC, date_entries, number_units
-from pipelines.report.facts import OUTLOOKS
 from pipelines.storage.publication import views
 
 
@@ -35,30 +34,75 @@ def test_lead_is_counted_from_the_first_alert_of_that_unit_and_not_of_the_one_be
     assert rows(con, "select alert_id, lead_flights from alert_lead_times") == [(None, None)]
 
 
-def test_outcomes_of_alerts():
-    con = catalog(
-        raw_maintenance=[
-            replaced(10), replaced(30, None), replaced(50, "NO_FAULT_FOUND"), replaced(95, component="CC"),
-        ],
-        raw_messages=[message(68), message(89)],
+def judged_work(n: int, *, is_shown: bool, **more: object) -> dict:
+    """A replacement without a finding, and the record's judgement of it."""
+    work = replaced(n, None)
+    judged = {"verdict": "logged", "in_force": True, "position": 1, "is_shown": is_shown}
+    return work | judged | {"flown_from": work["counts_from"], "known_from": work["counts_from"]} | more
+
+
+def ended(name: str, n: int, closed: int, reason: str = "renewed", **more: object) -> dict:
+    return alert(name, n, closed, **more) | {"closed_reason": reason}
+
+
+OUTCOMES = {
+    "found": "found", "answered": "answered", "unseen": "not_yet_known", "told": "message", "late": "message",
+    "clean": "no_fault_found", "gone": "recovered", "still": "open", "door": "recovered",
+}  # fmt: skip
+
+
+def judged_fleet() -> duckdb.DuckDBPyConnection:
+    """One alert of each outcome: `late` closed by itself two days before its message."""
+    judgements = [judged_work(30, is_shown=True), judged_work(40, is_shown=False)]
+    return catalog(
+        raw_flights=[flight(n) for n in range(120)],
+        raw_maintenance=[replaced(10), replaced(30, None), replaced(40, None), inspected(84)],
+        features_work=judgements,
+        raw_messages=[message(56), message(72)],
         features_alerts=[
-            alert("found", 8, closed=11),
-            alert("spare", 29, closed=31),
-            alert("none", 75, closed=80),
-            alert("told", 67, closed=70),
-            alert("still", 92),
+            ended("found", 8, 11), ended("answered", 25, 31), ended("unseen", 35, 41),
+            ended("told", 55, 57, "recovered"), ended("late", 65, 70, "recovered"),
+            ended("clean", 80, 85, "found_clean"), ended("gone", 90, 95, "recovered"),
+            ended("door", 101, 103, "recovered", component="RAM_DOOR"), alert("still", 100),
         ],
     )  # fmt: skip
-    outcomes = dict(rows(con, "select alert_id, outcome from alert_outcomes"))
-    assert outcomes == {
-        "found": "confirmed", "spare": "replaced", "none": "nothing", "told": "message", "still": "open",
-    }  # fmt: skip
-    assert rows(con, "select alert_id, open_days from false_alarms") == [("none", 5.0)]
-    counts = "n_alerts, n_judged, n_right, n_open, n_unjudged"
-    assert rows(con, f"select {counts} from alert_hit_rates") == [(5, 3, 2, 1, 1)]
-    ((rate, low, high),) = rows(con, "select hit_rate, hit_rate_low, hit_rate_high from alert_hit_rates")
-    ends = proportion_interval(2, 3)
-    assert (rate, low, high) == pytest.approx((2 / 3, *ends), abs=1e-3)
+
+
+def test_every_alert_has_one_outcome():
+    outcomes = dict(rows(judged_fleet(), "select alert_id, outcome from alert_outcomes"))
+    assert outcomes == OUTCOMES
+
+
+def test_false_alarms_are_those_judged_wrong():
+    wrong = rows(judged_fleet(), "select alert_id, open_days from false_alarms order by alert_id")
+    assert wrong == [("clean", 5.0), ("door", 2.0), ("gone", 5.0)]
+
+
+def test_lead_times_count_only_alerts_with_messages():
+    leads = rows(judged_fleet(), "select alert_id, lead_flights from alert_lead_times order by message_time")
+    assert leads == [("told", 1)]  # the second message is of the same unit
+
+
+def test_precision_is_published_by_both_measures():
+    counts = "n_alerts, n_judged, n_right, n_message, n_open, n_unjudged"
+    con = judged_fleet()
+    (row,) = rows(con, f"select {counts} from alert_hit_rates where component = 'HX'")
+    assert row == (8, 6, 4, 2, 1, 1)
+    (ends,) = rows(con, "select columns('_rate$|_rate_') from alert_hit_rates where component = 'HX'")
+    assert ends == pytest.approx((4 / 6, *proportion_interval(4, 6), 2 / 6, *proportion_interval(2, 6)), abs=1e-3)
+
+
+def test_a_recovery_without_log_answers():
+    flown = [fouling(n, 0.2 if n < 50 else 0.01) for n in range(80)]
+    con = catalog(twin_health=flown, features_alerts=[ended("a", 40, 65, "recovered")])
+    assert rows(con, "select outcome from alert_outcomes") == [("answered",)]
+
+
+def test_a_sensor_in_doubt_explains_a_recovery():
+    flown = [fouling(n, 0.2 if n < 50 else 0.01) for n in range(80)]
+    alerts = [ended("a", 40, 65, "recovered"), ended("s", 45, 55, "recovered", component="SENSOR")]
+    con = catalog(twin_health=flown, features_alerts=alerts)
+    assert rows(con, "select outcome from alert_outcomes order by 1") == [("not_yet_known",), ("recovered",)]
 
 
 def proportion_interval(right: int, n: int) -> tuple[float, float]:
@@ -188,15 +232,14 @@ def test_work_is_credited_to_the_alert_open_or_last_closed_of_its_unit():
     """Not to one that had closed twelve days before."""
     clean = alert("", 38, 43) | {"closed_reason": "found_clean"}
     credits = credited(inspected(42), old=alert("", 10, 30), open=clean)
-    assert credits == {"old": ("nothing", None), "open": ("no_fault_found", "WO42")}
+    assert credits == {"old": ("recovered", None), "open": ("no_fault_found", "WO42")}
     credits = credited(inspected(42), older=alert("", 10, 32), last=alert("", 33, 38), long=alert("", 5, 20))
-    assert credits == {"older": ("nothing", None), "last": ("no_fault_found", "WO42"), "long": ("nothing", None)}
-    ended = alert("", 10, 31) | {"closed_reason": "renewed"}
-    assert credited(replaced(30), inspected(40), one=ended) == {"one": ("confirmed", "WO30")}
+    assert credits == {"older": ("recovered", None), "last": ("no_fault_found", "WO42"), "long": ("recovered", None)}
+    assert credited(replaced(30), inspected(40), one=ended("", 10, 31)) == {"one": ("found", "WO30")}
     credits = credited(inspected(42, "FOULED", closes_alert_id="mine"), mine=alert("", 38), beside=alert("", 30))
-    assert credits == {"mine": ("confirmed", "WO42"), "beside": ("open", None)}
+    assert credits == {"mine": ("found", "WO42"), "beside": ("open", None)}
     clean = alert("", 10, 31) | {"closed_reason": "found_clean"}
-    assert credited(inspected(30), replaced(33, "CLOGGED"), one=clean)["one"] == ("confirmed", "WO30, WO33")
+    assert credited(inspected(30), replaced(33, "CLOGGED"), one=clean)["one"] == ("found", "WO30, WO33")
 
 
 def test_the_published_hit_rate_follows_what_was_found():
@@ -229,23 +272,39 @@ def test_a_prognosis_that_an_inspection_contradicts_says_so_until_the_part_is_re
     assert rows(con, "select urgency from fleet_ranking") == [("plan",)]
 
 
-def test_loss_and_margin_by_route_and_air():
-    """Ten flights to the hot place gain 1 % each, ten to the cold one nothing; the exchanger changes in between."""
-    hot = [flight(n) | {"origin": "AAAA", "destination": "HHHH"} for n in range(10)]
-    cold = [flight(n) | {"origin": "AAAA", "destination": "CCCC"} for n in range(10, 20)]
-    air = {"HHHH": (291.0, 5.0), "CCCC": (262.0, 25.0)}
-    features = []
-    for n, flown in enumerate([*hot, *cold]):
-        loss, n_seen = (0.01 * n, n) if n < 10 else (0.0, n - 10)
-        tat, margin = air[flown["destination"]]
-        own = {
-            "pack": 1, "hx_fouling": loss, "flights_seen_of_unit": n_seen, "tat_cruise_k": tat, "hx_margin_k": margin,
-        }  # fmt: skip
-        features.append(flight(n) | own)
-    con = catalog(raw_flights=[*hot, *cold], features=features)
+def routes_flown(**more: list[dict]) -> list[tuple]:
+    """Thirty flights to the hot place gain 1 % each, thirty to the cold one nothing; a new exchanger in between."""
+    hot = [flight(n) | {"origin": "AAAA", "destination": "HHHH"} for n in range(30)]
+    cold = [flight(n) | {"origin": "AAAA", "destination": "CCCC"} for n in range(30, 60)]
+    warm, cool = {"tat_cruise_k": 291.0, "hx_margin_k": 5.0}, {"tat_cruise_k": 262.0, "hx_margin_k": 25.0}
+    features = [f | warm | {"pack": 1, "hx_fouling": 0.01 * n} for n, f in enumerate(hot)]
+    features += [f | cool | {"pack": 1, "hx_fouling": 0.0} for f in cold]
+    con = catalog(raw_flights=[*hot, *cold], features=features, **more)
     columns = "destination, ambient_k, n_flights, round(gained_per_100_flights, 6), margin_k"
-    routes = rows(con, f"select {columns} from routes order by destination")
-    assert routes == [("CCCC", 260.0, 10, 0.0, 25.0), ("HHHH", 290.0, 10, 1.0, 5.0)]
+    return rows(con, f"select {columns} from routes order by destination")
+
+
+ON_ROUTES = [("CCCC", 260.0, 30, 0.0, 25.0), ("HHHH", 290.0, 30, 1.0, 5.0)]
+
+
+def test_loss_and_margin_by_route_and_air():
+    assert routes_flown(raw_maintenance=[replaced(29)]) == ON_ROUTES
+
+
+def test_a_swap_logged_late_is_no_gain():
+    assert routes_flown(raw_maintenance=[replaced(35)]) == ON_ROUTES
+
+
+def test_a_swap_without_log_is_no_gain():
+    assert routes_flown(twin_health=[fouling(n, 0.01 * n if n < 30 else 0.0) for n in range(60)]) == ON_ROUTES
+
+
+@pytest.mark.parametrize("log", [[replaced(58)], []])
+def test_a_comparison_ends_at_other_work(log):
+    """Flight 56 has another unit, by the log later or not at all."""
+    flown = [fouling(n, 0.4 if n < 56 else 0.01) for n in range(80)]
+    con = catalog(twin_health=flown, raw_maintenance=[inspected(49), *log])
+    assert rows(con, "select after_work from before_and_after where reference = 'WO49'") == [(0.4,)]
 
 
 PROGNOSIS = {"component": "HX", "rul_flights": 126.0, "rul_low": 9.0, "rul_high": 300.0, "p_event_50": 0.22, "pack": 1}
@@ -278,7 +337,7 @@ def test_no_information_is_not_a_plan():
         ("T-1", "prior_only", 4), ("T-2", "ok", 3), ("T-2", "prior_only", 1)
     ]  # fmt: skip
     assert rows(con, "select distinct rul_flights from prognoses") == [(126.0,)]  # an estimate, with its status
-    for view in ("due_dates", "next_stop", f"({OUTLOOKS})"):
+    for view in ("due_dates", "next_stop", "(from unit_rows where chance is not null)"):
         assert {tail for (tail,) in rows(con, f"select distinct tail from {view}")} <= {"T-2"}
     assert rows(con, "select distinct is_observed from health_parameters where tail = 'T-1'") == [(False,)]
 

@@ -63,17 +63,21 @@ def test_the_sample_page_is_sound_and_the_same_catalog_makes_the_same_bytes(read
 
 def test_every_pack_is_ranked_and_drawn_and_has_a_row_with_its_alerts_in_the_first_table(facts, read, sample_page):
     parsed = read(sample_page)
-    packs = [pack_name(r) for r in facts["ranking"].to_dicts()]
+    packs = [pack_name(r) for r in pack_rows(facts)]
     assert len(packs) == 4
     cards = [v for v in parsed.values("id") if v.startswith("pack-")]
     assert len(cards) == len(packs)
     text = parsed.text()
     assert all(text.count(p) >= 2 for p in packs)
     text = read(sample_page.split('id="tonight"')[1].split("</section>")[0]).text()
-    assert all(text.count(pack_name(r)) == 1 for r in facts["ranking"].to_dicts())
+    assert all(text.count(pack_name(r)) == 1 for r in pack_rows(facts))
     opened = facts["alerts"].filter(pl.col("closed_at").is_null()).to_dicts()
     assert opened
     assert all(f"{diagnosis(a['diagnosis'])} since {day(a['raised_at'])}" in text for a in opened)
+
+
+def pack_rows(facts: Facts) -> list[dict]:
+    return [unit.values for unit in facts.rows if unit["component"] is None]
 
 
 def test_the_figures_are_drawn(sample_page):
@@ -88,7 +92,7 @@ def test_the_figures_are_drawn(sample_page):
 def test_a_pack_is_drawn_as_the_catalog_says_it_is(facts, sample_page):
     """The last point of each chart is the pack's own with its interval; and whose the other is."""
     drawn = tracks(facts)
-    for row in facts["ranking"].to_dicts():
+    for row in pack_rows(facts):
         name = f"pack-{row['operator']}-{row['tail']}-{row['pack']}"
         own, layout = drawn[name], drawing(drawn, name, fleet_band(facts), 0.15)
         assert f'points="{layout["lines"]["own"]}"' in sample_page
@@ -96,23 +100,23 @@ def test_a_pack_is_drawn_as_the_catalog_says_it_is(facts, sample_page):
         (x0, x1), (low, top) = own["x"], own["y"]
         assert x0 + x / SIDE * (x1 - x0) == pytest.approx(own["own"]["x"][-1], abs=1e-4 * (x1 - x0))
         assert top - y / SIDE * (top - low) == pytest.approx(own["own"]["y"][-1], abs=0.01)
-        assert own["own"]["y"][-1] == pytest.approx(100 * row["hx_fouling"], abs=0.06)
-        around = 100 * 1.645 * row["hx_fouling_sd"]
+        assert own["own"]["y"][-1] == pytest.approx(100 * row["loss"], abs=0.06)
+        around = 100 * 1.645 * row["loss_sd"]
         assert own["own"]["high"][-1] - own["own"]["low"][-1] == pytest.approx(2 * around, abs=0.11)
         assert own["own"]["x"][-1] == row["last_departed_at"].timestamp() * 1000
         assert own["other"] == f"pack-{row['operator']}-{row['tail']}-{3 - row['pack']}"
 
 
+def with_values(facts: Facts, **values) -> Facts:
+    """The same fleet, each row with other values."""
+    rows = [replace(unit, values=unit.values | values) for unit in facts.rows]
+    return replace(facts, rows=rows)
+
+
 def with_outlook(facts: Facts, **values) -> Facts:
     """The same fleet, each pack with an outlook of its exchanger at two flights a day."""
-    rows = [
-        dict.fromkeys(facts["outlooks"].columns)
-        | {k: r[k] for k in ("operator", "tail", "pack")}
-        | {"component": "HX", "flights_per_day": 2.0, "p_event_50": 0.3}
-        | values
-        for r in facts["ranking"].to_dicts()
-    ]
-    return replace(facts, frames=facts.frames | {"outlooks": pl.DataFrame(rows, schema=facts["outlooks"].schema)})
+    outlook = {"outlook_component": "HX", "flights_per_day": 2.0, "is_bound": False}
+    return with_values(facts, **(outlook | values))
 
 
 def test_the_forecast_is_a_fan_from_each_components_own_last_loss(facts):
@@ -122,13 +126,12 @@ def test_the_forecast_is_a_fan_from_each_components_own_last_loss(facts):
         level = max(38.0, loss)
         assert track["fan"]["area"] == [(now, loss), (now + 10 * DAY_MS, level), (now + 75 * DAY_MS, level)]
         assert track["fan"]["median"] == [(now, loss), (now + 30 * DAY_MS, level)]
-    for far in ({"p_event_50": 0.04}, {"rul_flights": 300.0}):
-        charts = tracks(with_outlook(facts, **(left | far)))
-        assert {len(t["fan"]["median"]) for t in charts.values()} == {0}, "no median where no message is near"
+    charts = tracks(with_outlook(facts, **left, is_bound=True))
+    assert {len(t["fan"]["median"]) for t in charts.values()} == {0}, "no median where no message is near"
     for lacking in ({"flights_per_day": None}, {"rul_low": None}):
         charts = tracks(with_outlook(facts, **(left | lacking)))
         assert [t["fan"] for t in charts.values()] == [{}] * len(charts)
-    left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0, "component": "CC"}
+    left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0, "outlook_component": "CC"}
     half = facts["health"].filter(parameter="hx_fouling").with_columns(parameter=pl.lit("cc_efficiency_loss"))
     health = pl.concat([facts["health"].filter(parameter="hx_fouling"), half.with_columns(value=0.5 * pl.col("value"))])
     worn = replace(facts, frames=facts.frames | {"health": health})
@@ -152,16 +155,21 @@ def test_a_card_has_every_choice_and_fifty_aircraft_stay_below_five_megabytes(fa
     exchangers = [a for a in alerts if a["component"] == "HX"]
     assert exchangers
     for alert in exchangers:
-        assert {c[0] for c in alert["choices"]} == {"inspect", "wash", "replace", "defer to the check"}
-        assert all("min, " in c[3] for c in alert["choices"] if c[0] != "defer to the check")
-        chance = {c[0]: c[1] for c in alert["choices"]}
-        assert chance["inspect"] == chance["defer to the check"], "a look alone changes no chance"
+        choices = {c[0].partition(" until ")[0]: c for c in alert["choices"]}
+        assert set(choices) == {"inspect", "wash", "replace", "nothing"}
+        assert all("min, " in c[3] for name, c in choices.items() if name != "nothing")
+        assert choices["inspect"][1] == choices["nothing"][1], "a look alone changes no chance"
     frames = {
         name: pl.concat(f.with_columns(tail=pl.format("T{}-{}", i, pl.col("tail").str.slice(-3))) for i in range(25))
         for name, f in facts.frames.items()
         if "tail" in f.columns
     }
-    whole = page(replace(facts, frames=facts.frames | frames))
+    rows = [
+        replace(unit, values=unit.values | {"tail": f"T{i}-{unit['tail'][-3:]}"})
+        for i in range(25)
+        for unit in facts.rows
+    ]
+    whole = page(replace(facts, rows=rows, frames=facts.frames | frames))
     assert whole.count('class="track"') >= 100
     assert len(whole.encode()) < 5_000_000
 
@@ -205,13 +213,13 @@ def first_flights(facts: Facts, n: int) -> Facts:
     frames = {name: f.filter(tail=tail) if "tail" in f.columns else f for name, f in facts.frames.items()}
     frames = {name: f.filter(own) if "flight_id" in f.columns else f for name, f in frames.items()}
     frames |= {name: frames[name].clear() for name in ("alerts", "messages", "maintenance", "design", "gaps")}
-    unknown = pl.lit(None, dtype=pl.Float64)
-    outlook = ("rul_flights", "rul_low", "rul_high", "p_event_50", "cc_p_event_50")
-    ranking = frames["ranking"].with_columns(unknown.alias(c) for c in outlook)
-    quiet = {"diagnoses": pl.lit(None, dtype=pl.String), "raised_at": None, "urgency": pl.lit("none")}
-    frames["ranking"] = ranking.with_columns(**quiet, hx_fouling_sd=unknown)
     frames["twin"] = facts["twin"].filter(own, tail=tail)
-    return replace(facts, frames=frames | {"segment": facts["segment"].clear()}, card={}, dsm=None)
+    nothing = ("rul_flights", "rul_low", "rul_high", "p_event_50", "chance", "loss_sd", "diagnoses", "raised_at",
+               "alert_id", "due_low_on", "due_on", "silent_since", "choices")  # fmt: skip
+    quiet = dict.fromkeys(nothing) | {"urgency": "none"}
+    rows = [replace(unit, values=unit.values | quiet) for unit in facts.rows if unit["tail"] == tail]
+    frames |= {"segment": facts["segment"].clear()}
+    return replace(facts, rows=rows, frames=frames, card={}, dsm=None)
 
 
 @pytest.mark.parametrize("n", [1, 5])

@@ -4,7 +4,6 @@ import datetime as dt
 from dataclasses import replace
 from pathlib import Path
 
-import polars as pl
 import pytest
 
 from hdt_core.alerts.alerts import VALUES
@@ -14,6 +13,7 @@ from hdt_core.components import components
 from pipelines.report import words
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import thresholds
+from pipelines.report.rows import UnitRow
 from pipelines.report.tasks import ACTIONS, Task, action_of, read_tasks, tasks_of, work_text
 from pipelines.report.tonight import tonight
 from pipelines.storage.catalog import connect
@@ -25,77 +25,80 @@ def facts(sample_home: Path) -> Facts:
     return read_facts(sample_home)
 
 
-def first_screen(facts: Facts, frames: dict, **row) -> dict:
-    """The first row of the table, after changes of the ranking's first row and of other frames."""
-    first = facts["ranking"].head(1).with_columns(**{k: pl.lit(v) for k, v in row.items()})
-    frames = facts.frames | {"ranking": first, "components": facts["components"].clear()} | frames
-    table = tonight(replace(facts, frames=frames), {}, 0.15)
+def with_first(facts: Facts, **values) -> Facts:
+    """The first pack's row alone, with other values."""
+    first = facts.rows[0]
+    return replace(facts, rows=[replace(first, values=first.values | values)])
+
+
+def first_screen(facts: Facts, **values) -> dict:
+    """The first row of the table, after changes of its values."""
+    table = tonight(with_first(facts, **values), {}, 0.15)
     return (table["rows"] + table["rest"])[0]
 
 
-def outlook_of(facts: Facts, **values) -> dict:
-    """Frames with one outlook of the ranking's first pack."""
-    key = facts["ranking"].select("operator", "tail", "pack").head(1).row(0, named=True)
-    row = dict.fromkeys(facts["outlooks"].columns) | key | {"component": "HX", "due_status": "ok"} | values
-    return {"outlooks": pl.DataFrame([row], schema=facts["outlooks"].schema)}
-
-
-@pytest.mark.parametrize(
-    ("days", "overdue", "mark"), [(-1, True, 0.0), (0, False, 0.0), (60, False, 50.0), (130, False, 100.0)]
-)
-def test_dates_lie_on_an_axis_of_120_days_and_one_that_passed_is_overdue(facts, days, overdue, mark):
+@pytest.mark.parametrize(("days", "mark"), [(-1, 0.0), (0, 0.0), (60, 50.0), (130, 100.0)])
+def test_dates_lie_on_an_axis(facts, days, mark):
     day = facts.until().date() + dt.timedelta(days=days)
-    due = first_screen(facts, outlook_of(facts, due_on=day, due_low_on=day, due_high_on=day))["due"]
-    assert (due["overdue"], due["mark"], due["low"]) == (overdue, mark, mark)
-    assert due["text"] == f"{day}"
-    beyond = outlook_of(facts, due_on=day, due_low_on=day, due_status="beyond_horizon")
-    due = first_screen(facts, beyond)["due"]
-    assert (due["overdue"], due["mark"], due["text"]) == (False, None, f"after {day}")
-    assert due["low"] + due["width"] == 100.0 or days == 130
+    due = first_screen(facts, due_on=day, due_low_on=day, due_high_on=day, is_bound=False)["due"]
+    assert (due["mark"], due["low"], due["text"]) == (mark, mark, f"{day}")
+
+
+def test_a_bound_has_its_own_date(facts):
+    low, middle = dt.date(2024, 7, 1), dt.date(2024, 9, 1)
+    due = first_screen(facts, due_on=middle, due_low_on=low, due_high_on=None, is_bound=True)["due"]
+    assert (due["mark"], due["text"]) == (None, "after 2024-07-01")
 
 
 @pytest.mark.parametrize(
-    ("outlook", "chance", "text"),
+    ("kind", "chance", "text"),
     [
-        ({"chance": 0.67, "p_event_50": 0.2}, 0.67, "67 % by A-check 2024-07-07"),
-        ({"chance_at_least": 0.3, "p_event_50": 0.2}, 0.3, "more than 30 % by A-check 2024-07-07"),
-        ({"p_event_50": 0.2}, 0.2, "20 % in 50 flights"),
-        ({}, None, "\N{EN DASH}"),
+        ("by", 0.67, "67 % by A-check 2024-07-07"),
+        ("at_least", 0.3, "more than 30 % by A-check 2024-07-07"),
+        ("in_50", 0.2, "20 % in 50 flights"),
+        ("in_50", None, "\N{EN DASH}"),
     ],
 )
-def test_the_chance_is_that_before_the_next_check_where_it_is_known(facts, outlook, chance, text):
-    outlook = outlook | {"check_name": "A-check", "until_on": dt.date(2024, 7, 7)}
-    row = first_screen(facts, outlook_of(facts, **outlook))
-    assert (row["chance"], row["chance_text"]) == (chance, text)
+def test_the_chance_has_its_day(facts, kind, chance, text):
+    check = {"check_name": "A-check", "until_on": dt.date(2024, 7, 7)}
+    row = first_screen(facts, chance_kind=kind, chance=chance, message_at=None, **check)
+    assert row["chance_text"] == text
 
 
-def test_work_since_the_last_flight_is_named_and_the_margin_before_it_is_not(facts):
-    row = first_screen(facts, {}, work_action="CLEANED", work_on=dt.date(2024, 7, 1))
+def test_work_since_the_last_flight_is_named(facts):
+    row = first_screen(facts, work_action="CLEANED", work_on=dt.date(2024, 7, 1))
     assert "cleaned 2024-07-01, no flight since" in row["notes"]
-    assert row["margin_k"] is None
+
+
+CHOICES = [
+    {"choice": "wash", "expected_cost": 3500.0, "currency": "USD"},
+    {"choice": "defer", "expected_cost": 28700.0, "currency": "USD"},
+]
 
 
 @pytest.mark.parametrize(
-    ("diagnosis", "action", "to_do", "effort"),
+    ("diagnosis", "action", "to_do", "work"),
     [
-        ("HX_FOULING", "Plan a wash (ATA 21-52); look first", "Wash", "120 min, 2 people"),
-        ("HX_FOULING", "Find the cause upstream. Only then: plan a wash (ATA 21-52)", "Find the cause upstream",
+        ("HX_FOULING", "Wash it (ATA 21-52); look first", "Wash",
+         "120 min, 2 people; 3,500 USD expected, 28,700 if it waits"),
+        ("HX_FOULING", "Find the cause upstream. Only then: wash it (ATA 21-52)", "Find the cause upstream",
          "45 min, 1 person"),
-        ("HX_LOW_MARGIN", "Not the core: check target (ATA 21-53, rigging)", "Not the core: check target",
-         "90 min, 2 people"),
+        ("HX_LOW_MARGIN", "Check target (ATA 21-53, rigging)", "Check target", "90 min, 2 people"),
     ],
 )  # fmt: skip
-def test_one_action_is_the_cheapest_choice_unless_the_cause_lies_elsewhere(facts, diagnosis, action, to_do, effort):
-    key = facts["ranking"].select("operator", "tail", "pack").head(1).row(0, named=True)
-    alert = key | {"component": "HX", "diagnosis": diagnosis, "recommended_action": action, "raised_at": facts.until()}
-    stop = key | {"component": "HX", "choice": "wash", "place": 1, "expected_cost": 3500.0, "defer_cost": 28700.0}
-    frames = {
-        "alerts": pl.DataFrame([alert | {"closed_at": None}], schema_overrides={"closed_at": pl.Datetime}),
-        "stops": pl.DataFrame([stop | {"currency": "USD"}]),
-    }
-    assert first_screen(facts, frames, urgency="act")["to_do"] == (
-        to_do, f"{effort}; 3,500 USD to expect, 28,700 deferred",
-    )  # fmt: skip
+def test_the_cost_is_the_actions_own(sample_home, facts, diagnosis, action, to_do, work):
+    alert = {"alert_id": "a", "alert_component": "HX", "diagnosis": diagnosis, "recommended_action": action}
+    first = facts.rows[0]
+    values = first.values | alert | {"urgency": "act", "choices": CHOICES}
+    unit = UnitRow(values, tasks_of(read_tasks(sample_home), alert | {"component": "HX"}))
+    assert (unit.to_do(), unit.work()) == (to_do, f"{to_do}; {work}")
+
+
+def test_without_costs_wear_is_washed(sample_home, facts):
+    alert = {"alert_id": "a", "alert_component": "HX", "diagnosis": "HX_FOULING", "recommended_action": "Wash it"}
+    unpriced = [{"choice": "defer", "expected_cost": None}, {"choice": "wash", "expected_cost": None}]
+    values = facts.rows[0].values | alert | {"urgency": "plan", "choices": unpriced}
+    assert UnitRow(values, tasks_of(read_tasks(sample_home), alert | {"component": "HX"})).to_do() == "Wash"
 
 
 FOULING = {"diagnosis": "HX_FOULING", "component": "HX", "recommended_action": "Wash", "choice": "wash"}
@@ -160,7 +163,7 @@ def test_one_action_the_cheapest_where_wear_is_the_cause_else_a_look(tmp_path):
     own = tasks_of(tasks, FOULING)
     assert action_of(FOULING, own) == "wash"
     assert action_of(FOULING | {"choice": "defer"}, own) == "defer"
-    assert work_text(tasks, FOULING | {"choice": "defer"}) == "Defer to the check"
+    assert work_text(tasks, FOULING | {"choice": "defer"}) == "Nothing until then"
     assert action_of(FOULING | {"choice": None}, own) == "wash"
     assert action_of(FOULING | {"recommended_action": f"Find the cause upstream{THEN}wash"}, own) == "inspect"
     assert action_of(FOULING | {"diagnosis": "HX_LOW_MARGIN"}, own) == "inspect"
@@ -176,16 +179,17 @@ def test_at_the_limits_in_service_the_alerts_are_those_of_the_catalog(sample_hom
     assert rates
     for diagnosis, row in by_diagnosis.items():
         rate = rates.get(diagnosis, {"n_alerts": 0, "n_right": 0, "n_judged": 0, "n_open": 0})
-        assert (row["alerts"], row["confirmed"], row["open"]) == (rate["n_alerts"], rate["n_right"], rate["n_open"])
+        assert (row["alerts"], row["right"], row["open"]) == (rate["n_alerts"], rate["n_right"], rate["n_open"])
         assert row["false"] == rate["n_judged"] - rate["n_right"]
 
 
 def test_why_there_is_no_estimate_is_written_in_the_words_of_the_pack_or_of_the_component():
     row = {"operator": "AQX", "tail": "LX-AAA", "pack": 1, "urgency": "unknown", "missing_since": None}
     unit = {"name": "oil cooler", "component": "OIL"}
+    pack = {"component": None}
     for own, reason, text in (
         (unit, "NOT_COMMISSIONED", "too few steady flights of the component as built"),
         (unit, "FEW_SAMPLES", "fewer than five samples to which the component's model applies"),
-        ({}, "NO_CRUISE", words.REASONS["NO_CRUISE"]),
+        (pack, "NO_CRUISE", words.REASONS["NO_CRUISE"]),
     ):
         assert f"; {text}." in words.unknown([row | own | {"missing_reason": reason}])[0]

@@ -1,0 +1,67 @@
+"""A unit is to act on from a chance of one half until it falls below two fifths, or until work or a finding."""
+
+import datetime as dt
+
+import pytest
+from small_catalog import catalog, flight, fouling, replaced
+
+
+def forecast(n: int, chance: float, version: str) -> dict:
+    points = ("p_event_25", "p_event_50", "p_event_100", "p_event_200", "p_event_300")
+    return flight(n) | {"pack": 1, "component": "HX", "model_version": version} | dict.fromkeys(points, chance)
+
+
+def urgency(chances: list[float], maintenance: list[dict] | None = None, model: list[str] | None = None) -> list[tuple]:
+    """Urgency, its begin and its cause after flights with these chances of a message within 30 days."""
+    points = [
+        dict.fromkeys(("p_event_25", "p_event_50", "p_event_100", "p_event_200", "p_event_300"), chance)
+        for chance in chances
+    ]
+    versions = model or ["m"] * len(chances)
+    own = {"pack": 1, "component": "HX"}
+    prognoses = [
+        flight(n) | own | p | {"model_version": v} for n, (p, v) in enumerate(zip(points, versions, strict=True))
+    ]
+    con = catalog(
+        raw_flights=[flight(n) for n in range(len(chances))],
+        twin_health=[fouling(n, 0.2) for n in range(len(chances))],
+        prognoses=prognoses,
+        raw_maintenance=maintenance or [],
+    )
+    return con.execute("select urgency, urgent_since, urgent_by from unit_urgencies").fetchall()
+
+
+LOW, HIGH = [0.1] * 20, [0.6] * 20
+
+
+@pytest.mark.parametrize(
+    ("chances", "expected"),
+    [
+        ([*LOW, *HIGH], "act"),
+        ([*LOW, *HIGH, 0.45], "act"),
+        ([*LOW, *HIGH, 0.35], "plan"),
+        ([*LOW, *HIGH, 0.35, 0.45], "plan"),
+        ([*LOW, 0.45], "plan"),
+    ],
+)
+def test_urgency_has_a_memory(chances, expected):
+    assert urgency(chances)[0][0] == expected
+
+
+def test_it_begins_where_the_chance_passed_a_half():
+    assert urgency([*LOW, *HIGH, 0.45])[0][1] == flight(20)["departed_at"]
+
+
+@pytest.mark.parametrize(("versions", "by"), [(["m"] * 40, "flights"), (["m"] * 20 + ["n"] * 20, "fleet")])
+def test_what_changed_it_is_named(versions, by):
+    assert urgency([*LOW, *HIGH], model=versions)[0][2] == by
+
+
+@pytest.mark.parametrize("work", [replaced(30), replaced(30, "NO_FAULT_FOUND") | {"action": "INSPECTED"}])
+def test_work_ends_it(work):
+    assert urgency([*LOW, *[0.6] * 5, *[0.45] * 20], [work])[0][0] == "plan"
+
+
+def test_an_old_state_without_confirmation_lapses():
+    assert urgency([*HIGH, *[0.45] * 120])[0][0] == "plan"
+    assert dt.timedelta(90) < flight(139)["departed_at"] - flight(19)["departed_at"]
