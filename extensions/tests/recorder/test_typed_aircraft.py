@@ -15,8 +15,11 @@ import pytest
 from nights import run
 from recordings import message_file, printed_report
 
+from hdt_core.components import components
+from hdt_core.flight.component_legs import component_samples
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
+from hdt_core.tracking.component_readings import component_readings
 from hdt_recorder.recorder_rows import recorder_rows
 from pipelines.cli.doctor import examine
 from pipelines.intake.landing import list_landing
@@ -172,28 +175,48 @@ def read_by_another(recording: str, *names: str) -> list[np.ndarray]:
     return [rows.filter(parameter=name).sort("t_s")["value"].drop_nulls().to_numpy() for name in names]
 
 
-def test_real_recordings_and_heads_of_reports_reach_the_catalog(real):
-    health = {(t, p, n): (v, sd, s) for t, p, n, v, sd, s in ask(
-        real, "select tail, pack, parameter, value, sd, status from health_parameters")}  # fmt: skip
+def readings(home: Path, tail: str) -> dict[tuple[int, str], tuple[float, float, str]]:
+    """Readings of an aircraft's declared components by pack and name, from the rows that a night stored."""
+    with connect(home) as con:
+        rows = con.sql(f"from tables.raw_components where tail = '{tail}'").pl()
+    frames = [
+        component_readings(component_samples(rows.filter(component=code), components()[code]), components()[code])
+        for code in rows["component"].unique()
+    ]
+    values = pl.concat(frames).select("pack", "parameter", "value", "sd", "status").iter_rows()
+    return {(pack, name): (value, sd, status) for pack, name, value, sd, status in values}
+
+
+def test_a_real_taxi_is_read_as_another_decoder_reads_it(real):
+    of_taxi = readings(real, "B-6789")
     hot_in, hot_out, outside, speed = read_by_another(
         "767", "CASRPACKCOTEMPMP__01", "CASRSECHXOTEMPMP__01", "ENGTATSEL_EECGER", "CASRCAC2RPMPM_CTL_01"
     )
     right = (hot_in - hot_out) / (hot_in - outside.mean())
-    assert health["B-6789", 2, "hxt_effectiveness"] == (
+    assert of_taxi[2, "hxt_effectiveness"] == (
         pytest.approx(right.mean(), abs=0.001), pytest.approx(right.std(), abs=0.0005), "measured")  # fmt: skip
-    assert health["B-6789", 1, "hxt_effectiveness"] == (
+    assert of_taxi[1, "hxt_effectiveness"] == (
         pytest.approx(1.0, abs=0.001), pytest.approx(0.005, abs=0.001), "one_or_more")  # fmt: skip
-    assert health["B-6789", 4, "cac_speed_rpm"][0] == pytest.approx(speed.mean(), rel=1e-3)
+    assert of_taxi[4, "cac_speed_rpm"][0] == pytest.approx(speed.mean(), rel=1e-3)
     for unit in (3, 4):
-        assert 0.785 < health["B-6789", unit, "cac_efficiency_seen"][0] < 0.815
-        assert health["B-6789", unit, "cac_efficiency_loss"][2] == "prior_only"
+        assert 0.785 < of_taxi[unit, "cac_efficiency_seen"][0] < 0.815
     for pack in (1, 2):
-        assert 0.85 < health["B-8888", pack, "hxt_effectiveness_slow"][0] < 0.90
-        assert health["B-8888", pack, "hxt_effectiveness_fast"][2] == "one_or_more"
-        assert health["B-8888", pack, "hxt_fan_rpm"][2] == "not_recorded"
-        assert health["B-6789", pack, "hxt_fan_rpm"][::2] == (pytest.approx(11_220, abs=10), "measured")
-        assert health["B-8888", pack, "hxt_loss"][::2] == (pytest.approx(0.0, abs=0.01), "prior_only")
-    assert health["B-6789", 1, "hx_fouling"][2] == "predicted"
+        assert of_taxi[pack, "hxt_fan_rpm"][::2] == (pytest.approx(11_220, abs=10), "measured")
+
+
+def test_a_real_taxi_is_no_flight(real):
+    assert ask(real, "select tail, reason from held_flights") == [("B-6789", "no_flight")]
+    assert ask(real, "select distinct tail from flights") == [("B-8888",)]
+
+
+def test_a_real_climb_and_heads_of_reports_reach_the_catalog(real):
+    health = {(p, n): (v, sd, s) for p, n, v, sd, s in ask(
+        real, "select pack, parameter, value, sd, status from health_parameters where tail = 'B-8888'")}  # fmt: skip
+    for pack in (1, 2):
+        assert 0.85 < health[pack, "hxt_effectiveness_slow"][0] < 0.90
+        assert health[pack, "hxt_effectiveness_fast"][2] == "one_or_more"
+        assert health[pack, "hxt_fan_rpm"][2] == "not_recorded"
+        assert health[pack, "hxt_loss"][::2] == (pytest.approx(0.0, abs=0.01), "prior_only")
     assert ask(real, "select count(*) from alerts") == [(0,)]
     assert ask(real, "select distinct reason from quarantine order by 1") == [("unknown_report",)]
     assert np.isfinite([v for v, _, s in health.values() if s in {"prior_only", "measured"}]).all()
