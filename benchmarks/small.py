@@ -3,7 +3,11 @@
 Claim: the published tables are those of the present sources. A table of the pages takes minutes to hours; `small.toml`
 has each command with arguments that take seconds, and `small/` what it printed when the tables were last written. Where
 scores or counts of a small run move, those of the page have moved too: run its command again, then this with `--write`.
-Times are not compared; of commands that print nothing else (`times`) only that they end well is asked.
+Times are not compared; of commands that print nothing else (`times`) only that they end well is asked. Iterative
+methods end elsewhere where a processor's linear algebra adds in another order: `small/NAME.ORDER.md` has what another
+order prints, and a run must be that of one file:
+
+    OPENBLAS_CORETYPE=Haswell python -m benchmarks.small promise --write --order haswell
 """
 
 import math
@@ -82,20 +86,28 @@ def _is_same(one: str | None, other: str | None) -> bool:
     return has_same_form and all(math.isclose(a, b, rel_tol=SAME, abs_tol=1e-9) for a, b in pairs)
 
 
-def stored(name: str) -> Path:
-    """Place of what a command printed."""
-    return HERE / "small" / f"{name}.md"
+def place(name: str, order: str = "") -> Path:
+    """Return the file of what a command printed, on processors that add in another `order`."""
+    return HERE / "small" / f"{name}.{order}.md".replace("..", ".")
+
+
+def moved_since(name: str, printed: str) -> list[str]:
+    """List the cells that differ from the nearest of the files that are stored of a command."""
+    files = sorted((HERE / "small").glob(f"{name}.*md"))
+    now = cells(printed)
+    return min((moved(cells(f.read_text(encoding="utf-8")), now) for f in files), key=len, default=["nothing stored"])
 
 
 if __name__ == "__main__":
     parser = arguments(__doc__)
     parser.add_argument("names", nargs="*", default=list(COMMANDS))
     parser.add_argument("--write", action="store_true", help="store what the commands print")
+    parser.add_argument("--order", default="", help="name of the order of additions that is stored")
     options = parser.parse_args()
     for name in options.names:
         printed = run(name)
-        lines = moved(cells(stored(name).read_text()) if stored(name).exists() else {}, cells(printed))
+        lines = moved_since(name, printed)
         print(f"{name}: {len(lines)} moved", *lines[:20], sep="\n  ", flush=True)
         if options.write:
-            stored(name).parent.mkdir(exist_ok=True)
-            stored(name).write_text(printed)
+            place(name, options.order).parent.mkdir(exist_ok=True)
+            place(name, options.order).write_text(printed)

@@ -12,7 +12,7 @@ from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.flight.component_legs import REASONS as UNIT_REASONS
 from pipelines.report import words
 from pipelines.report.tasks import ACTIONS
-from pipelines.report.tonight import STATES, STATUSES
+from pipelines.report.tonight import STATUSES
 from pipelines.words import ENGLISH
 from pipelines.words.evidence import phrases
 
@@ -49,7 +49,7 @@ def declared_messages() -> list[str]:
         words.NAMES,
         ACTIONS,
         STATUSES,
-        STATES,
+        words.STATES,
         UNIT_REASONS,
     )
     labels = [text for table in tables for text in table.values()] + [loss for loss, _ in words.WEARS.values()]

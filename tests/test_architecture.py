@@ -109,12 +109,13 @@ def test_dagsters_private_api_stays_in_one_folder_whose_page_lists_it():
 
 
 MANY_TO_MANY = {
+    "hdt_core/alerts/answers.py": "a finding meets every entry of the log about the same work",
     "hdt_core/alerts/succession.py": "a case that lost its alert meets every alert of its kind",
     "hdt_core/flight/channels.py": "a reading of one pack meets those of the other at its time, of reports and log",
+    "hdt_core/prognosis/choices.py": "a wash meets every flight of its pack",
     "hdt_core/prognosis/feature_rows.py": "a flight meets every unit that its pack was known to have",
     "hdt_core/prognosis/unit_lives.py": "a life meets every message of its pack, a message every sound inspection",
     "hdt_core/records/unit_index.py": "an entry of the log meets every flight of its pack",
-    "pipelines/intake/findings.py": "a finding meets every entry of the log about the same work",
     "pipelines/intake/merge.py": "a row meets what every other file says of its key",
 }
 """Where a join makes more rows than it was given, and why; what is not wanted is filtered out at once."""

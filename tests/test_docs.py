@@ -6,16 +6,21 @@ import inspect
 import pkgutil
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import duckdb
+import numpy as np
 import pytest
 import typer
 
 import hdt_core
+from benchmarks.fault_points import fingerprint
+from hdt_benchmark.spring_mass_damper import TRUTH, oscillator_problem
 from pipelines.cli import app, load_extensions
 from pipelines.storage.catalog import connect
 
@@ -90,6 +95,30 @@ def test_the_tutorials_python_runs(sample_home, monkeypatch):
     assert namespace["frame"].height > 0
 
 
+def run_python(page: str) -> dict[str, Any]:
+    """The names that the Python of a page leaves."""
+    code = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / page).read_text(), flags=re.MULTILINE | re.DOTALL)
+    names: dict[str, Any] = {}
+    exec("\n".join(code), names)
+    return names
+
+
+def test_equations_from_files_give_the_papers_line(monkeypatch):
+    monkeypatch.chdir(ROOT)
+
+    names = run_python("howto-equations.md")
+
+    assert names["intercept_m"] == pytest.approx(0.1731, abs=0.005)
+    assert 500.0 < np.nanmedian(names["ua_w_k"]) < 3000.0
+
+
+def test_example_estimator_keeps_the_contract():
+    estimate = run_python("howto-estimator.md")["RandomSearch"]().estimate(oscillator_problem(seed=0))
+
+    assert estimate.status == "converged"
+    assert (np.abs(estimate.belief.mean - TRUTH) < 4.0 * estimate.belief.sd).all()
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
 def test_named_files_exist(page):
     paths = re.findall(r"`([\w.-]+/[\w./-]+\.(?:py|sql))`", page.read_text(encoding="utf-8"))
@@ -139,3 +168,23 @@ def test_no_page_fetches_from_elsewhere_links_hold_and_every_room_has_its_page()
     pages = "".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs/api").glob("*.md"))
     assert rooms == set(re.findall(r"^::: hdt_core\.(\w+)$", pages, flags=re.MULTILINE))
     assert {words[0] for _, words in COMMANDS} >= {c.name or c.callback.__name__ for c in app.registered_commands}
+
+
+def test_backup_restores_the_home(own_home, tmp_path):
+    """Line by line as the page has it, under other names."""
+    landing, home = own_home
+    before = fingerprint(home)
+    backup, restore = blocks(ROOT / "docs/howto-backup.md")
+    tools = f'PATH="{Path(sys.executable).parent}:$PATH"; set -e; '
+
+    def run(lines: str) -> str:
+        for name, path in (("/data/hdt", home), ("/data/landing", landing), ("/backup/hdt", tmp_path / "backup")):
+            lines = lines.replace(name, str(path))
+        return subprocess.run(["bash", "-c", tools + lines], capture_output=True, text=True, check=True).stdout
+
+    run(backup)
+    shutil.rmtree(home)
+    printed = run(restore)
+
+    assert "Nothing new" in printed
+    assert fingerprint(home) == before
