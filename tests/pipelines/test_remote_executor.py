@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from dagster_celery.tags import DAGSTER_CELERY_TASK_ID_TAG
 from databases import SERVER
 from nights import Silent, stages_of, unfolded
 
@@ -82,9 +83,11 @@ def fleet(alone, elsewhere, monkeypatch):
     return elsewhere
 
 
-def is_at_work(fleet, name: str) -> bool:
+def is_at_a_run(fleet, name: str) -> bool:
+    """A run has begun there and has not ended; one that is only received is the broker's, who gives it to another."""
+    begun = "select value from run_tags join runs using (run_id) where key = %r and status = 'STARTED'"
     log = fleet.read_log(name).split(" ready.")[-1]
-    return log.count("] received") > log.count("] succeeded")
+    return any(f"[{task}] received" in log for (task,) in fleet.rows(begun % DAGSTER_CELERY_TASK_ID_TAG))
 
 
 def night_over(fleet) -> nightly.Night:
@@ -107,7 +110,7 @@ def test_a_killed_worker_and_a_broker_that_restarts_lose_nothing(fleet, alone):
     from benchmarks.site import restart_broker, wait
 
     def strike() -> None:
-        wait(lambda: is_at_work(fleet, "one"), 120, "the worker takes no run")
+        wait(lambda: is_at_a_run(fleet, "one"), 120, "the worker takes no run")
         fleet.kill("one")
         restart_broker()
 
@@ -117,8 +120,7 @@ def test_a_killed_worker_and_a_broker_that_restarts_lose_nothing(fleet, alone):
     struck.result()
     assert done.failed == {}
     assert fingerprint(fleet.home("night")) == alone[0]
-    # lost at work, or between the broker and the run's first word
-    assert any(why in fleet.read_log("daemon") for why in ("no worker has been at it", "seconds to start."))
+    assert "no worker has been at it" in fleet.read_log("daemon")
 
 
 def test_an_aircraft_that_fails_is_told_and_the_others_are_made(fleet, monkeypatch):
