@@ -1,6 +1,7 @@
 -- Of which units was nothing seen beyond the prior, and for how long?
 -- counts_from: since when the unit is fitted by the log of work; NULL where that was before the first entry
--- Beyond the prior is an estimate once its standard deviation is a third of the prior's, or five flights have moved it.
+-- Beyond the prior is an estimate once its standard deviation is a third of the prior's, or five flights have moved it;
+-- flights of few samples move it only where half of those flown did: a handful of rows on some of them is no knowledge.
 -- counts_to: departure of the first flight after which its loss is so known, or since when the next unit is fitted;
 -- NULL where nothing is seen tonight
 -- Grain: operator, tail, pack, component, counts_from. Reads: health_parameters, tables.components,
@@ -15,6 +16,7 @@ with estimates as (
         h.departed_at,
         h.flight_id,
         h.is_observed,
+        h.is_observed and h.status != 'few_samples' as is_well_observed,
         3 * h.sd <= c.prior_sd as is_sure
     from health_parameters as h
     left join tables.components as c on h.component = c.component
@@ -55,9 +57,9 @@ flown as (
         e.departed_at,
         e.is_observed,
         e.is_sure,
-        count(*) filter (where e.is_observed) over (
-            partition by u.operator, u.tail, u.pack, u.component, u.counts_from order by e.departed_at, e.flight_id
-        ) as n_observed
+        count(*) filter (where e.is_observed) over unit_flights as n_observed,
+        count(*) filter (where e.is_well_observed) over unit_flights as n_well_observed,
+        count(*) over unit_flights as n_flown
     from units as u
     inner join estimates as e
         on
@@ -67,6 +69,19 @@ flown as (
             and u.component = e.component
             and u.counts_from <= e.departed_at
             and u.ended_at > e.departed_at
+    window
+        unit_flights as (
+            partition by u.operator, u.tail, u.pack, u.component, u.counts_from order by e.departed_at, e.flight_id
+        )
+),
+
+judged as (
+    select
+        *,
+        coalesce(is_sure, true)
+        or n_well_observed >= 5
+        or (n_observed >= 5 and 2 * n_observed >= n_flown) as is_known
+    from flown
 ),
 
 observed as (
@@ -77,11 +92,11 @@ observed as (
         u.component,
         u.counts_from,
         coalesce(
-            min(u.departed_at) filter (where u.is_observed and (coalesce(u.is_sure, true) or u.n_observed >= 5)),
+            min(u.departed_at) filter (where u.is_observed and u.is_known),
             u.ended_at
         ) as counts_to,
         min(u.departed_at) as first_departed_at
-    from flown as u
+    from judged as u
     group by u.operator, u.tail, u.pack, u.component, u.counts_from, u.ended_at
 )
 

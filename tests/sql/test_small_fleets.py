@@ -431,6 +431,17 @@ def test_unit_hardly_surer_than_prior_is_unknown(observed, urgency):
     assert rows(con, "select urgency from fleet_ranking") == [(urgency,)]
 
 
+@pytest.mark.parametrize(("every", "urgency"), [(3, "unknown"), (2, "none")])
+def test_handful_of_rows_on_some_flights_makes_no_unit_known(every, urgency):
+    status = {True: "few_samples", False: "predicted"}
+    flown = [fouling(k, 0.04) | {"sd": 0.036, "status": status[k % every == 0]} for k in range(30)]
+    components = [c | {"prior_sd": 0.066} for c in component_rows()]
+
+    con = catalog(twin_health=flown, raw_flights=[flight(k) for k in range(30)], components=components)
+
+    assert rows(con, "select urgency from fleet_ranking") == [(urgency,)]
+
+
 def test_line_of_log_that_was_not_seen_is_noted():
     line = replaced(40) | {"position": 1, "flown_from": START, "known_from": START, "verdict": "not_seen"}
     con = catalog(raw_maintenance=[replaced(40)], features_work=[line | {"in_force": False, "is_shown": False}])
