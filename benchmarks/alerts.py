@@ -115,7 +115,8 @@ class Marks(NamedTuple):
 
 
 def _judge_alert(alert: dict, truth: pl.DataFrame, failures: pl.DataFrame, findings: pl.DataFrame) -> Marks:
-    component, first = alert["component"], alert["raised"]
+    component = alert["component"]
+    first = alert["raised"]
     own_failures = _own(failures, alert).filter(pl.col("wears"))["at"].to_numpy()
     message = bool(((own_failures >= first) & (own_failures <= first + FOLLOWED)).any())
     ahead = truth.filter(pl.col("index").is_between(first, first + FOLLOWED))
@@ -145,7 +146,8 @@ def _failures(events: pl.DataFrame) -> pl.DataFrame:
 
 def _alerted(failure: dict, alerts: pl.DataFrame) -> float | None:
     """Flights from the first alert that counts to the failure, of a door or sensor from its onset; None if missed."""
-    begins, at = failure["begins"], failure["at"]
+    begins = failure["begins"]
+    at = failure["at"]
     last_look = at - BEFORE if failure["wears"] else begins
     still_open = pl.col("closed").is_null() | (pl.col("closed") > last_look)
     own = _own(alerts, failure).filter(pl.col("raised").is_between(begins, at, closed="left") & still_open)
@@ -184,7 +186,8 @@ def figures_of(scores: Tally, component: str) -> dict[str, float]:
 
 def overall(scores: Tally) -> dict[str, float]:
     """Figures over all components, and of the exchanger's failures."""
-    exchanger, per = figures_of(scores, "HX"), 1000.0 / scores.flights
+    exchanger = figures_of(scores, "HX")
+    per = 1000.0 / scores.flights
     explained = scores.alerts.filter("any_cause")
     return {
         "alerted": exchanger["alerted"],

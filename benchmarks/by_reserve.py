@@ -21,7 +21,8 @@ class TypeRecord(NamedTuple):
 
 def figures(alerts: Tally, prognoses: pl.DataFrame) -> dict[str, float]:
     """Compute the figures of one type or of several together."""
-    exchanger, scores = figures_of(alerts, "HX"), score_prognoses(prognoses)
+    exchanger = figures_of(alerts, "HX")
+    scores = score_prognoses(prognoses)
     return {
         "alerted": exchanger["alerted"],
         "right within 200": exchanger["right within 200"],

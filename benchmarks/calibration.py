@@ -65,13 +65,16 @@ class Envelope(NamedTuple):
 
 
 def envelope_of(seed: int) -> tuple[PackDesign, Envelope]:
-    draw, rng = np.random.default_rng(seed), np.random.default_rng([seed, 1])
-    design, operators = draw_design(draw), draw_operators(draw, SIZE)
+    draw = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, 1])
+    design = draw_design(draw)
+    operators = draw_operators(draw, SIZE)
     parts = []
     for operator in operators:
         schedule = draw_schedule(rng, operator, 200)
         now = conditions(rng, schedule, np.arange(200), CLIMB_S + 0.5 * schedule.cruise_s)
-        wanted_air, door = demand(rng, design, now), rng.uniform(0.15, 0.75, 200)
+        wanted_air = demand(rng, design, now)
+        door = rng.uniform(0.15, 0.75, 200)
         out, ram_out, ram, ua = outlets(design, now, wanted_air, door, clean(now.mach))
         signals = {n: getattr(now, n) for n in ("altitude_m", "mach", "tat_k", "total_pressure_pa")}
         signals |= {"hx_in_k": wanted_air.hot_in_k, "hx_out_k": out, "ram_door_open": door, "ram_out_k": ram_out}
@@ -107,7 +110,8 @@ def law_errors(dsm: Dsm, at: Envelope) -> dict[str, float]:
 
 def naive_shape(samples: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, at: Envelope) -> float:
     """The peer: the same fit with health held at zero and flights compared as they come."""
-    step, hx.HEALTH_STEP = hx.HEALTH_STEP, 1e-6
+    step = hx.HEALTH_STEP
+    hx.HEALTH_STEP = 1e-6
     try:
         dsm = calibrate(samples, legs, maintenance)
     finally:
@@ -172,7 +176,8 @@ def one_fleet(seed: int, size: FleetSettings) -> dict[str, float]:
     design, at = envelope_of(seed)
     out: dict[str, float] = {"ram_seen": float(dsm.ram_balance_seen)} | law_errors(dsm, at)
     out["naive_shape"] = naive_shape(fleet.samples, legs, fleet.maintenance, at)
-    true, sd = design_vector(design), np.sqrt(np.diag(np.array(dsm.exchanger_cov)))
+    true = design_vector(design)
+    sd = np.sqrt(np.diag(np.array(dsm.exchanger_cov)))
     flows = dsm.cruise_flows_kg_s
     elastic, elastic_sd = elasticities(dsm)
     elastic_off = elastic - flow_elasticities(true, *flows)
@@ -219,10 +224,12 @@ def speed(size: FleetSettings, tails: int, flights: int = 2000) -> str:
     turns = flights // 200
     samples = replicate_fleet(fleet.samples, ("time_utc",), tails, turns)
     judgements = replicate_fleet(legs, ("departed_at",), tails, turns)
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall = time.perf_counter()
+    cpu = time.process_time()
     dsm = calibrate(samples, judgements, fleet.maintenance.clear())
     calibrated = time.perf_counter() - wall, time.process_time() - cpu
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall = time.perf_counter()
+    cpu = time.process_time()
     estimate_flights(samples, dsm)
     estimated = time.perf_counter() - wall, time.process_time() - cpu
     n = samples["flight_id"].n_unique()
@@ -237,7 +244,8 @@ def recursion(size: FleetSettings) -> str:
     fleet = fleet_of(1, replace(size, tails=1))
     legs = admit_fleet(fleet.legs, fleet.samples, fleet.maintenance, fleet.messages)
     cruise = cruise_samples(fleet.samples.join(legs.filter("admitted"), on=FLIGHT_PACK, how="semi"))
-    free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
+    free = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept")
+    outputs = ("cc_flow_kg_s", "cc_out_pa")
     one_by_one = SimpleNamespace(name="nls", estimate=NonlinearLeastSquares().estimate)
     warm, cold = (flight_by_flight(cruise, COMPRESSOR, free, outputs=outputs, estimator=e) for e in (one_by_one, None))
     apart = max(float((warm[c] / cold[c] - 1.0).abs().max()) for c in free)
@@ -251,7 +259,8 @@ def recursion(size: FleetSettings) -> str:
 
 def table(fleets: pl.DataFrame) -> str:
     """Return the table of measures, goals and results."""
-    metered, blind = fleets.filter(pl.col("ram_seen") == 1.0), fleets.filter(pl.col("ram_seen") == 0.0)
+    metered = fleets.filter(pl.col("ram_seen") == 1.0)
+    blind = fleets.filter(pl.col("ram_seen") == 0.0)
 
     def rms(frame: pl.DataFrame, column: str) -> float:
         return float(np.sqrt((frame[column].to_numpy() ** 2).mean())) if frame.height else np.nan

@@ -90,7 +90,8 @@ class History:
 
     def _batch(self) -> PartitionBatch:
         """Return the next thousand cells."""
-        first, at = self.filled % len(FLIGHTS), self.filled // len(FLIGHTS)
+        first = self.filled % len(FLIGHTS)
+        at = self.filled // len(FLIGHTS)
         self.filled += CELLS_A_RUN
         own = FLIGHTS[first : first + CELLS_A_RUN]
         return PartitionBatch(tuple((aircraft(at), f) for f in own), (own[0], own[-1]))
@@ -112,7 +113,8 @@ class History:
         tags = get_tags_from_multi_partition_key(keys[0])
         materialization = dg.AssetMaterialization("empty", partition=keys[0], tags=tags)
         dagster_event = event.get_dagster_event()._replace(event_specific_data=StepMaterializationData(materialization))
-        log, run_id = self.instance.event_log_storage, str(uuid.uuid4())
+        log = self.instance.event_log_storage
+        run_id = str(uuid.uuid4())
         log.group_partitions(run_id, empty.key, keys)
         log.store_event_batch([event._replace(run_id=run_id, dagster_event=dagster_event)])
 

@@ -55,7 +55,8 @@ def calibrate(
 ) -> Tables:
     """Calibrate from each tail's commissioning window and the log entries up to its end."""
     within = pl.col("flight_id").is_in(baseline_flights(verdicts))
-    verdicts, samples = verdicts.filter(within), samples.filter(within)
+    verdicts = verdicts.filter(within)
+    samples = samples.filter(within)
     logs = [records_until(log, verdicts) for log in (maintenance, messages)]
     norm = admission.learn_baseline(verdicts, samples, *logs)
     admitted = admission.admit(norm, verdicts, leg_indicators(samples, norm), *logs)

@@ -105,7 +105,8 @@ def _assigned(statement: ast.stmt) -> Iterator[tuple[str, ast.expr]]:
     if isinstance(statement, ast.AnnAssign) and statement.value and isinstance(statement.target, ast.Name):
         yield statement.target.id, statement.value
     if isinstance(statement, ast.Assign):
-        target, value = statement.targets[0], statement.value
+        target = statement.targets[0]
+        value = statement.value
         pairs = [(target, value)]
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
             pairs = list(zip(target.elts, value.elts, strict=True))

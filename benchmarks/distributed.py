@@ -56,7 +56,8 @@ class Row:
 
 def alone(fleet: Site) -> Row:
     """One process: ledger, history and tables below its home."""
-    home, began = fleet.root / "alone", time.monotonic()
+    home = fleet.root / "alone"
+    began = time.monotonic()
     words = ("nightly", "--landing", str(fleet.landing), "--home", str(home), "--jobs", "1", "--json")
     summary = fleet.by_itself(*words)
     assert not summary["failed"], summary
@@ -67,7 +68,8 @@ def alone(fleet: Site) -> Row:
 def together(fleet: Site, how: str, meanwhile: Callable[[], str | None] | None = None) -> Row:
     """Run a backfill on the running workers; half-way `meanwhile` disturbs it and names a new machine, if any."""
     fleet.forget()
-    since, began = fleet.now(), time.monotonic()
+    since = fleet.now()
+    began = time.monotonic()
     fleet.night("night")
     ends_on = "night"
     if meanwhile:  # once half of the aircraft have their flights stored
@@ -79,12 +81,14 @@ def together(fleet: Site, how: str, meanwhile: Callable[[], str | None] | None =
     with fleet.instance() as instance:
         records = instance.get_run_records(RunsFilter(tags=NIGHT))
         mine = [r for r in records if str(r.create_timestamp.replace(tzinfo=None)) >= since]
-        shared_s, work_s = _steps(mine), 0.0
+        shared_s = _steps(mine)
+        work_s = 0.0
         for record in (r for r in mine if _shared(r.dagster_run)):
             stats = instance.get_run_step_stats(record.dagster_run.run_id)
             work_s += sum(s.end_time - s.start_time for s in stats if s.start_time and s.end_time)
     retried = sum("dagster/retry_number" in r.dagster_run.tags for r in mine)
-    fingerprints, twice = fingerprint(fleet.home("night"), str(fleet.root / "store")), len(fleet.made_twice(since))
+    fingerprints = fingerprint(fleet.home("night"), str(fleet.root / "store"))
+    twice = len(fleet.made_twice(since))
     return Row(how, wall, shared_s, work_s, len(mine), retried, twice, fingerprints, os.getloadavg()[0])
 
 
@@ -135,7 +139,8 @@ def measured(root: Path, flights: int, aircraft: int) -> list[tuple[Row, int]]:
 
 def table(rows: list[tuple[Row, int]], flights: int, aircraft: int) -> str:
     """Return the table as Markdown."""
-    first, by = rows[0][0], {row.how: row for row, _ in rows}
+    first = rows[0][0]
+    by = {row.how: row for row, _ in rows}
     speedup = by["one worker"].shared_s / by["two workers"].shared_s
     head = ["backfill", "wall [s]", "flights/s", "not in steps", "runs", "retried", "cells twice", "tables", "load"]
     lines = [head, *(row.line(first, flights, workers) for row, workers in rows)]

@@ -47,14 +47,17 @@ def fleet(ua_w_k: float, n_flights: int = 1500, seed: int = 1) -> tuple[float, f
     30 samples a flight; hot flow 6 % and ram flow 20 % from flight to flight; the ram map 4 % off and each inlet sensor
     0.5 K, both constant over a flight; 0.5 K noise.
     """
-    rng, points = np.random.default_rng(seed), 30
+    rng = np.random.default_rng(seed)
+    points = 30
     design = {p.name: p.nominal for p in HEAT_EXCHANGER.free("design")} | {"hx_ua_reference_w_k": ua_w_k}
 
     def per_flight(mean: float, sd: float) -> np.ndarray:
         return np.repeat(mean + sd * rng.normal(size=n_flights), points)
 
-    hot, ram = per_flight(HOT_KG_S, 0.06 * HOT_KG_S), np.maximum(per_flight(1.6, 0.32), 0.5)
-    hot_in, cold_in = per_flight(HOT_IN_K, 5.0), per_flight(COLD_IN_K, 3.0)
+    hot = per_flight(HOT_KG_S, 0.06 * HOT_KG_S)
+    ram = np.maximum(per_flight(1.6, 0.32), 0.5)
+    hot_in = per_flight(HOT_IN_K, 5.0)
+    cold_in = per_flight(COLD_IN_K, 3.0)
     ua_share = 1.0 - np.repeat(np.linspace(0.0, 0.3, n_flights), points)
     hot_out, _ = outlets_k(hot, ram, hot_in, cold_in, ua_share * clean_conductance_w_k(hot, ram, **design))
     seen_ram = ram * (1.0 + per_flight(0.0, 0.04))
@@ -129,7 +132,9 @@ def resimulated(damping_n_s_m: float, stiffness_n_m: float) -> tuple[float, floa
 def compressor_eigenvalues() -> np.ndarray:
     """Eigenvalues of the information in ln A, ln D and beta, 5,345 points, flow to 2 %."""
     rng = np.random.default_rng(5)
-    inlet_pa, inlet_k, speed = rng.uniform(25e3, 50e3, 5345), rng.uniform(240, 265, 5345), rng.uniform(2500, 3900, 5345)
+    inlet_pa = rng.uniform(25e3, 50e3, 5345)
+    inlet_k = rng.uniform(240, 265, 5345)
+    speed = rng.uniform(2500, 3900, 5345)
     columns = []
     for i in range(3):
         ln_a, ln_d, beta = np.array([np.log(0.01), np.log(0.11), 0.61]) + 1e-30j * np.eye(3)[i]
@@ -200,7 +205,8 @@ def main(folder: Path = DOCS / "plots") -> Texts:
     print("information eigenvalues (ln A, ln D, beta):", *(f"{v:.1e}" for v in compressor_eigenvalues()))
     print(f"equation (5) at 0.1731 m, 36,500 rpm, 248 K: r_p {pressure_ratio(0.1731, 248.0, 36500 * np.pi / 30):.2f}")
     for top in (100.0, 500.0, 1000.0, 4095.0):
-        slope_sd, rest_sd = 2.9304e-5 * top / np.sqrt(12.0), 0.0055 * np.sqrt(np.pi / 2.0)
+        slope_sd = 2.9304e-5 * top / np.sqrt(12.0)
+        rest_sd = 0.0055 * np.sqrt(np.pi / 2.0)
         print(
             f"equation (6) over VDA 0-{top:.0f}: D at the end {0.1731 - 2.9304e-5 * top:.4f} m, "
             f"R2 {slope_sd**2 / (slope_sd**2 + rest_sd**2):.3f}"

@@ -40,7 +40,8 @@ def swarm_claim(rounds: int, records: int) -> Claim:
     import pyswarms  # noqa: F401, PLC0415 (only with the extra)
 
     logging.disable(logging.INFO)
-    problems, swarm = [oscillator_problem(seed) for seed in range(records)], ParticleSwarm(polish=False)
+    problems = [oscillator_problem(seed) for seed in range(records)]
+    swarm = ParticleSwarm(polish=False)
     return race(
         "PSO, 30 particles, 100 iterations",
         {
@@ -55,7 +56,8 @@ def swarm_claim(rounds: int, records: int) -> Claim:
 
 def effectiveness_claim(rounds: int) -> Claim:
     """Mason's series against quadrature."""
-    ntu, ratio = np.random.default_rng(3).uniform(0.2, 4.0, 20000), np.random.default_rng(4).uniform(0.3, 1.0, 20000)
+    ntu = np.random.default_rng(3).uniform(0.2, 4.0, 20000)
+    ratio = np.random.default_rng(4).uniform(0.3, 1.0, 20000)
 
     def by_ht() -> np.ndarray:
         pairs = zip(ntu[:100], ratio[:100], strict=True)
@@ -78,7 +80,9 @@ def _pyswarms(problem: Problem, cost: Callable[[Problem, np.ndarray], np.ndarray
 
 
 def _numpy_cost(problem: Problem, thetas: np.ndarray) -> np.ndarray:
-    x, v, total = np.zeros(len(thetas)), np.zeros(len(thetas)), np.zeros(len(thetas))
+    x = np.zeros(len(thetas))
+    v = np.zeros(len(thetas))
+    total = np.zeros(len(thetas))
     damping, stiffness = thetas.T
     for f, y in zip(force_n(), problem.measured[:, 0], strict=True):
         total += ((x - y) / SIGMA_M) ** 2

@@ -58,7 +58,9 @@ def _percent(share: float) -> str:
 
 
 def _alerted(figures: Figures) -> str:
-    failures, share, lead = figures["failures"], figures["alerted"], figures["lead or delay, median"]
+    failures = figures["failures"]
+    share = figures["alerted"]
+    lead = figures["lead or delay, median"]
     ahead = "" if np.isnan(figures["message within 200"]) else f", {lead:.0f} flights ahead"
     return _short(f"{share * failures:.0f} of {failures:.0f}{ahead}", is_met=share >= ALERTED_GOAL)
 
@@ -93,7 +95,8 @@ def _score(figures: Figures) -> str:
 
 
 def _within_50(figures: Figures) -> str:
-    auc, skill = figures["AUC"], figures["Brier skill"]
+    auc = figures["AUC"]
+    skill = figures["Brier skill"]
     return _short(f"{auc:.3f}, {skill:.2f}", is_met=auc >= AUC_GOAL and skill >= BRIER_GOAL)
 
 
@@ -110,7 +113,8 @@ def _paid(priced: dict[str, dict[str, Price]]) -> str:
 
 
 def _beside(contestants: dict[str, Figures]) -> str:
-    physics, base = contestants["physics alone"], contestants["base alone"]
+    physics = contestants["physics alone"]
+    base = contestants["base alone"]
     return (
         f"Beside it, on the same flights: physics without a learner has {physics['AUC']:.2f} AUC and "
         f"{_over_constant(physics)} times the constant's interval score; the base without the fleet's own messages "

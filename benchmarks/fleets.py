@@ -113,7 +113,8 @@ def loss_at_message(design: PackDesign, warmer_k: float) -> float:
     most. [-]"""
     loss = np.linspace(0.0, 0.7, 71)
     one = np.ones(loss.size)
-    now, demand = reference(one), reference_demand(design, one)
+    now = reference(one)
+    demand = reference_demand(design, one)
     now = replace(now, tat_k=now.tat_k + warmer_k)
     standard = target_k(reference(np.ones(1)), np.zeros(1))[0]
     target = target_k(now, np.asarray(sized_target_k(design) - standard))

@@ -21,7 +21,8 @@ def declared_outlets_k(
     *, oil_kg_s: Array, oil_in_k: Array, fuel_kg_s: Array, fuel_in_k: Array, foh_ua_w_k: Array, foh_loss: Array
 ) -> tuple[Array, Array]:
     """Compute both outlets of a counterflow exchanger of one conductance, of which fouling takes a share. [K]"""
-    hot, cold = oil_kg_s * OIL_J_KG_K, fuel_kg_s * FUEL_J_KG_K
+    hot = oil_kg_s * OIL_J_KG_K
+    cold = fuel_kg_s * FUEL_J_KG_K
     return _outlets_k(oil_in_k, fuel_in_k, hot, cold, (1.0 - foh_loss) * foh_ua_w_k)
 
 
@@ -37,7 +38,8 @@ def true_outlets_k(
 ) -> tuple[Array, Array]:
     """Compute both outlets with films that follow the flows and specific heats that follow the temperatures. [K]"""
     resistance = 0.55 * (oil_kg_s / 0.5) ** -0.6 + 0.45 * (fuel_kg_s / 0.6) ** -0.8
-    oil_out_k, fuel_out_k = oil_in_k - 20.0, fuel_in_k + 15.0
+    oil_out_k = oil_in_k - 20.0
+    fuel_out_k = fuel_in_k + 15.0
     for _ in range(4):
         hot = oil_kg_s * OIL_J_KG_K * (1.0 + 0.0018 * (0.5 * (oil_in_k + oil_out_k) - 355.0))
         cold = fuel_kg_s * FUEL_J_KG_K * (1.0 + 0.002 * (0.5 * (fuel_in_k + fuel_out_k) - 305.0))
@@ -76,8 +78,10 @@ def measured(rng: np.random.Generator, loss: Array, size_w_k: Array, bias_k: Arr
     def flown(mean: float, between: float, within: float) -> Array:
         return mean + between * rng.standard_normal((len(loss), 1)) + within * rng.standard_normal(shape)
 
-    oil_kg_s, fuel_kg_s = flown(0.5, 0.04, 0.01), flown(0.6, 0.06, 0.012)
-    oil_in_k, fuel_in_k = flown(360.0, 6.0, 0.5), flown(300.0, 6.0, 0.5)
+    oil_kg_s = flown(0.5, 0.04, 0.01)
+    fuel_kg_s = flown(0.6, 0.06, 0.012)
+    oil_in_k = flown(360.0, 6.0, 0.5)
+    fuel_in_k = flown(300.0, 6.0, 0.5)
     ua_w_k = (size_w_k * (1.0 - loss))[:, None]
     oil_out_k, fuel_out_k = true_outlets_k(oil_kg_s, oil_in_k, fuel_kg_s, fuel_in_k, ua_w_k)
     true = (oil_kg_s, oil_in_k, fuel_kg_s, fuel_in_k, oil_out_k + bias_k, fuel_out_k)

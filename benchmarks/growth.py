@@ -109,7 +109,9 @@ def size_table(rows: list[dict[str, float]], flights: int) -> str:
 def files(aircraft: tuple[int, ...] = (4, 20, 100, 400)) -> Texts:
     """One row a number of aircraft."""
     with tempfile.TemporaryDirectory() as scratch:
-        root, home, rows = Path(scratch), Path(scratch) / "home", []
+        root = Path(scratch)
+        home = Path(scratch) / "home"
+        rows = []
         list(write_fleet(root, 11, SIZES["S"]))
         measured(root / "landing", home)
         store = Store(home)
@@ -148,7 +150,9 @@ class Flown:
 
 def night(landing: Path, home: Path) -> dict[str, float]:
     """What a night took."""
-    commits, began, cpu = list[float](), time.monotonic(), time.process_time()
+    commits = list[float]()
+    began = time.monotonic()
+    cpu = time.process_time()
     commit = delta.Deltas._commit
 
     def timed(*arguments: object) -> bool:
@@ -193,7 +197,10 @@ def days_passed(home: Path, days: int) -> Iterator[None]:
 def years(nights: int, scratch: Path) -> list[dict[str, float]]:
     """A row for each of the nights that are shown."""
     list(write_fleet(scratch, 11, FIFTY))
-    landing, home, rows, measurements = scratch / "landing", scratch / "home", list[dict[str, float]](), list[dict]()
+    landing = scratch / "landing"
+    home = scratch / "home"
+    rows = list[dict[str, float]]()
+    measurements = list[dict]()
     night(landing, home)
     fleet = [Flown(f.parent) for f in sorted(landing.glob("*/*/acms"))]
     first = max(aircraft.last for aircraft in fleet) + timedelta(days=1)

@@ -48,7 +48,8 @@ def run(*mains: Callable[..., Texts], page: Path = PAGE, elsewhere: Mapping[str,
         for name, parameter in signature(main).parameters.items():
             add_option(own, name, parameter)
     options = vars(parser.parse_args())
-    main, write = options.pop("main"), options.pop("write")
+    main = options.pop("main")
+    write = options.pop("write")
     written_by = f"\n\n{origin()}" if write else ""
     for mark, text in main(**options):
         show(mark, f"{text}{written_by}", elsewhere.get(mark, page), write=write)
@@ -72,7 +73,8 @@ def _git(*words: str) -> str:
 
 def add_option(parser: argparse.ArgumentParser, name: str, parameter: Parameter) -> None:
     """Add the option of a parameter: as its default has it, or by its type and required."""
-    default, option = parameter.default, "--" + name.replace("_", "-")
+    default = parameter.default
+    option = "--" + name.replace("_", "-")
     if default is Parameter.empty:
         many = get_origin(parameter.annotation) is tuple
         kind = {"type": str, "nargs": "+"} if many else {"type": parameter.annotation}
@@ -143,6 +145,7 @@ def show(mark: str, text: str, page: Path = PAGE, *, write: bool) -> None:
 
 def put(mark: str, text: str, page: Path = PAGE) -> None:
     """Put a text between the page's marks of that name."""
-    begin, end = f"<!-- {mark}: begin -->", f"<!-- {mark}: end -->"
+    begin = f"<!-- {mark}: begin -->"
+    end = f"<!-- {mark}: end -->"
     before, rest = page.read_text().split(begin)
     page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{rest.split(end)[1]}")

@@ -72,7 +72,8 @@ def rows_of(fleet: Frames) -> Cases:
     ceiling = tracks(truly, lives, "HX")
     inputs_of = features.drop("operator", "departed_at")
     frame = measured.keys.join(inputs_of, on=["tail", "flight_id", "pack"], how="left", maintain_order="left")
-    raw, compared = _columns(frame, RAW), _columns(frame, RESIDUALS)
+    raw = _columns(frame, RAW)
+    compared = _columns(frame, RESIDUALS)
     health, true = (fleet_rows(t, PRIOR_RULES["HX"]).features for t in (measured, ceiling))
     inputs = dict(zip(SETS, (raw, np.hstack([raw, compared]), np.hstack([raw, compared, health]), true), strict=True))
     keys = frame.select("tail", "flight_id", "pack", "index", "loss", "life_id")
@@ -185,7 +186,8 @@ def lead_at_budget(forecasts: pl.DataFrame, early_per_1000: float = 2.0) -> tupl
 
 def _raised(risk: Array, first: NDArray[np.bool_], threshold: float) -> NDArray[np.bool_]:
     """Return the flights that raise an alert, with hysteresis below the threshold."""
-    out, on = np.zeros(risk.size, dtype=bool), False
+    out = np.zeros(risk.size, dtype=bool)
+    on = False
     clear = threshold * (0.5 if threshold > 0 else 2.0)
     for k in range(risk.size):
         before = on and not first[k]
@@ -251,7 +253,8 @@ INPUTS = ("loss and trends", "margin", "both", "both, true loss")
 
 def by_input(cases: Cases) -> Cases:
     """The same rows with the inputs of this comparison."""
-    health, truth = cases.inputs["health"], cases.inputs["truth as ceiling"]
+    health = cases.inputs["health"]
+    truth = cases.inputs["truth as ceiling"]
     wear = np.array([name in WEAR for name in FEATURES] + [True] * (health.shape[1] - len(FEATURES)))
     parts = (health[:, wear], health[:, ~wear], health, truth)
     return replace(cases, inputs=dict(zip(INPUTS, parts, strict=True)))

@@ -107,7 +107,8 @@ def affected(module: str) -> list[str]:
 
 def rerun(tables: chain.Tables, steps: list[str]) -> chain.Tables:
     """Rerun these steps, and every step that reads what they changed."""
-    tables, changed_tables = dict(tables), set[str]()
+    tables = dict(tables)
+    changed_tables = set[str]()
     for step in chain.STEPS:
         reads = set(signature(step).parameters)
         if step.__name__ in steps or reads & changed_tables:
@@ -182,7 +183,9 @@ def table(results: Path) -> str:
     """The ledger: a line for each constant that moved a figure by more than `MOVES`, and the names of the others."""
     rows = {(r["fleet"], r["at"], r["factor"]): r["figures"] for r in _read_results(results)}
     fleets = sorted({fleet for fleet, _, _ in rows})
-    lines, unmoved, stood = [], [], standing_cells()
+    lines = []
+    unmoved = []
+    stood = standing_cells()
     for constant in ledger():
         at = f"{constant.module}:{constant.path}"
         name = f"`{at.removeprefix('hdt_core.')}`"

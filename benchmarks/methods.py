@@ -98,7 +98,8 @@ def follow(method: Estimator, pack: Pack) -> Result:
     """Calibrate on the first flights and track the others; compare with the truth."""
     flights = flights_of(pack.samples).select(*FLIGHT_PACK, "departed_at").sort(IN_ORDER)
     first = pack.samples.join(flights.head(CALIBRATED_ON), on=FLIGHT_PACK, how="semi")
-    component, started = pack.component, time.process_time()
+    component = pack.component
+    started = time.process_time()
     dsm, _ = calibrate_component(component.model, first, method)
     losses = [p.name for p in component.model.free("health")]
     estimates = flight_by_flight(pack.samples, dsm, losses, estimator=method)
@@ -133,7 +134,8 @@ def row(component: str, method: str, results: list[Result], optimum: list[Result
     """Format the errors of one method on one part, and its distance from least squares in that one's deviations."""
     loss, error, sd = (np.concatenate(parts) for parts in zip(*(r[:3] for r in results), strict=True))
     best, _error, unit = (np.concatenate(parts) for parts in zip(*(r[:3] for r in optimum), strict=True))
-    covered, seconds = (np.abs(error) < Z_90 * sd).mean(), np.mean([r.seconds for r in results])
+    covered = (np.abs(error) < Z_90 * sd).mean()
+    seconds = np.mean([r.seconds for r in results])
     return [component, method, f"{np.abs(error).mean():.4f}", f"{sd.mean():.4f}", f"{covered:.2f}",
             f"{np.abs((loss - best) / unit).max():.3f}", f"{1e3 * seconds:.0f}"]  # fmt: skip
 
@@ -141,7 +143,8 @@ def row(component: str, method: str, results: list[Result], optimum: list[Result
 def parts(seeds: int = 4, only: str = "") -> Texts:
     """Both parts of so many aircraft, or `only` HX or CC, by every method and by the chain."""
     fleet = [aircraft(seed) for seed in range(102, 102 + seeds)]
-    every, together = [p for a in fleet for p in packs(a)], [r for a in fleet for r in chain(a)]
+    every = [p for a in fleet for p in packs(a)]
+    together = [r for a in fleet for r in chain(a)]
     head = ["part", "method", "error of the loss", "its sd", "coverage of 90 %", "off nls [sd]", "CPU a flight [ms]"]
     lines = [head]
     for component in (c for c in (HX, CC) if only in ("", c.code)):
@@ -166,7 +169,9 @@ CASES = ((1.5, 6.0), (2.0, 6.0), (1.0, 6.0), (1.0, 0.0))
 
 def position_m(amplitude: float, cubic_n_m3: float) -> Array:
     """Simulate the position from rest by forward Euler. (1001,) [m]"""
-    force, x, v = amplitude * force_n(), 0.0, 0.0
+    force = amplitude * force_n()
+    x = 0.0
+    v = 0.0
     position = np.empty(force.size)
     for i, push in enumerate(force):
         position[i] = x
@@ -176,8 +181,10 @@ def position_m(amplitude: float, cubic_n_m3: float) -> Array:
 
 def record_of(amplitude: float, cubic_n_m3: float, seed: int) -> Problem:
     """Build the problem of one noisy record; its model has no cubic force."""
-    force, noise = amplitude * force_n(), SIGMA_M * np.random.default_rng(seed).standard_normal(force_n().size)
-    measured, mass_kg = position_m(amplitude, cubic_n_m3) + noise, SPRING_MASS_DAMPER.nominal["mass_kg"]
+    force = amplitude * force_n()
+    noise = SIGMA_M * np.random.default_rng(seed).standard_normal(force_n().size)
+    measured = position_m(amplitude, cubic_n_m3) + noise
+    mass_kg = SPRING_MASS_DAMPER.nominal["mass_kg"]
     return declared_problem(
         SPRING_MASS_DAMPER,
         ("damping_n_s_m", "stiffness_n_m"),

@@ -56,7 +56,8 @@ class ScaledNumber(NumberReplacer):
 
     def mutate(self, node: Number, index: int) -> Number:
         """Raise the number, or lower it."""
-        value, sign = eval(node.value), 1 - 2 * index
+        value = eval(node.value)
+        sign = 1 - 2 * index
         changed = value + sign if isinstance(value, int) or not value else value * (1 + 0.15 * sign)
         return Number(f" {changed!r}", node.start_pos)
 
@@ -182,7 +183,9 @@ def main(room: str, sample: int = 60, seed: int = 1, module: str = "*") -> None:
         copy_tree(Path(folder))
         os.chdir(folder)
         sys.dont_write_bytecode = False
-        seconds, start, caught = load_libraries(tests), time.monotonic(), 0
+        seconds = load_libraries(tests)
+        start = time.monotonic()
+        caught = 0
         sys.dont_write_bytecode = True  # that of the unchanged tree stays, and of no mutant is any kept
         for number, (name, *texts) in enumerate(tried, 1):
             if survives((name, *texts), seconds):

@@ -28,7 +28,8 @@ def measure_store(landing: Path, home: Path) -> dict[str, object]:
         before = _requests()
         row[what] = measured(landing, home)["wall_s"]
         row[f"{what}_requests"] = _since(before)
-    before, began = _requests(), time.monotonic()
+    before = _requests()
+    began = time.monotonic()
     write_report(home, home.with_suffix(".html"))
     row |= {
         "report": time.monotonic() - began, "report_requests": _since(before), "ranking_ms": query_ms(home, RANKING),

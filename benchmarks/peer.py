@@ -52,7 +52,8 @@ def conductance_w_k(flow_kg_s: float, ram_kg_s: float, hot_in_k: float, hot_out_
 
 def location(values: np.ndarray) -> float:
     """Huber's location about the scale that ours takes, by minimisation."""
-    centre, count = np.median(values), len(values)
+    centre = np.median(values)
+    count = len(values)
     spread2 = ((1.4826 * np.median(np.abs(values - centre))) ** 2 * count + SAMPLE_SD**2 * 5.0) / (count + 5.0)
     limit = HUBER_K * np.sqrt(spread2)
 
@@ -67,7 +68,8 @@ def by_loop(path: Path, dsm: Dsm) -> np.ndarray:
     """Ln conductance ratio of each flight and pack, in order of `FLIGHT_PACK`."""
     samples = pd.read_parquet(path).dropna(subset=list(hx.SIGNALS))
     packs = dsm.pack_table()
-    keys, biases = packs.select("operator", "tail", "pack").rows(), dsm.bias_of(packs).T[:, :, None]
+    keys = packs.select("operator", "tail", "pack").rows()
+    biases = dsm.bias_of(packs).T[:, :, None]
     bias = dict(zip(keys, biases, strict=True))
     return np.array([_of_flight(own, bias[key[:3]], dsm) for key, own in samples.groupby(FLIGHT_PACK, sort=True)])
 
@@ -97,7 +99,8 @@ def main(rounds: int = 5, flights: int = 250) -> Texts:
         cruise = cruise_samples(store.read_table("legs_samples")).sort(FLIGHT_PACK)
         first = cruise.select(FLIGHT_PACK).unique(maintain_order=True).head(PEER_FLIGHTS)
         some = cruise.join(first, on=FLIGHT_PACK, maintain_order="left")
-        whole, part = Path(scratch, "whole.parquet"), Path(scratch, "part.parquet")
+        whole = Path(scratch, "whole.parquet")
+        part = Path(scratch, "part.parquet")
         cruise.write_parquet(whole)
         some.write_parquet(part)
         yield "", race_table([_claim(whole, part, dsm, rounds)], ("numpy", "polars", "pandas", "scipy"))

@@ -104,7 +104,8 @@ def _mean(values: np.ndarray) -> float:
 def side_by_side(forecasts: dict[str, pl.DataFrame], draws: int) -> str:
     """A row a figure, a column a contestant; of the product the range over tails drawn anew."""
     columns = {name: life_figures(frame) for name, frame in forecasts.items()}
-    rng, tails = np.random.default_rng(0), forecasts[CONTESTANTS[0]].partition_by("tail")
+    rng = np.random.default_rng(0)
+    tails = forecasts[CONTESTANTS[0]].partition_by("tail")
     resampled = (pl.concat([tails[k] for k in rng.integers(0, len(tails), len(tails))]) for _ in range(draws))
     drawn_figures = [life_figures(frame) for frame in resampled]
     lines = [["figure", "goal", *columns, f"{CONTESTANTS[0]}, 5-95 %"]]
@@ -175,7 +176,8 @@ def _precision_at(prognoses: pl.DataFrame, recall: float) -> float:
 
 def ablation(taught: list[Frames], scored: list[Frames]) -> str:
     """The same learner on more and more of the twin."""
-    learn, test = pooled([rows_of(f) for f in taught]), pooled([rows_of(f) for f in scored])
+    learn = pooled([rows_of(f) for f in taught])
+    test = pooled([rows_of(f) for f in scored])
     forecast = {name: Learner.fit(learn, name).predict(test, name) for name in (*SETS, "health parameters alone")}
     forecast["physics extrapolation, its error learned"] = extrapolated(learn, test)
     head = ["inputs", "mean absolute error", "interval skill", "coverage", "Brier skill", "AUC"]
@@ -252,7 +254,8 @@ TREND = ("level", "slope_30", "slope_100")
 def forecasts(fleet: Frames, component: str, taught_by: int) -> dict[str, pl.DataFrame]:
     """Judged prognoses of a component by contestant, with the failures on record when each flight's month began."""
     record = FleetRecord(fleet["features"], fleet["messages"], fleet["maintenance"])
-    lives, base = record.lives(), shipped_base()
+    lives = record.lives()
+    base = shipped_base()
     product = update_model(base, None, record).prognoses
     alone = {c: ComponentFit(rule, levels=prior_levels(base, c)) for c, rule in PRIOR_RULES.items()}
     by_base = predict_prognosis(Prognosis(base.hazard, base.base_levels, alone, "base"), record.features, lives)
@@ -292,7 +295,8 @@ def _physics(track: Tracks, rows: Array, component: str) -> pl.DataFrame:
 
 def _logistic(record: FleetRecord, track: Tracks, rows: Array, component: str, taught_by: int) -> pl.DataFrame:
     """A logistic hazard of each month, from simulated lives and the fleet's lives before it."""
-    trend, month_at = _trend(rows), month_of(track.keys["departed_at"])
+    trend = _trend(rows)
+    month_at = month_of(track.keys["departed_at"])
     by = np.full((len(rows), EDGES.size), np.nan)
     simulated = _simulated(taught_by)
     for month in record.months():
@@ -327,7 +331,8 @@ def _fitted(simulated: Lives, on_record: Lives):
     model.fit(np.hstack([trend[row], np.eye(SPANS)[span]]), hit, logisticregression__sample_weight=exposure)
 
     def by(at_risk_rows: Array) -> Array:
-        row, span = np.repeat(np.arange(len(at_risk_rows)), SPANS), np.tile(np.arange(SPANS), len(at_risk_rows))
+        row = np.repeat(np.arange(len(at_risk_rows)), SPANS)
+        span = np.tile(np.arange(SPANS), len(at_risk_rows))
         hazard = model.predict_proba(np.hstack([at_risk_rows[row], np.eye(SPANS)[span]]))[:, 1]
         return event_by(hazard.reshape(-1, SPANS))
 

@@ -65,7 +65,8 @@ def static(
 
 def decay(rng: np.random.Generator, *, noise: float = 1.0, certain: bool = True) -> Trial:
     """One exponential."""
-    truth, x = np.array([rng.uniform(1.0, 5.0), rng.uniform(0.2, 2.0)]), np.linspace(0.0, 4.0, 60)
+    truth = np.array([rng.uniform(1.0, 5.0), rng.uniform(0.2, 2.0)])
+    x = np.linspace(0.0, 4.0, 60)
     return static(rng, lambda p, x: p[0] * np.exp(-p[1] * x), truth, x, sigma=0.05, noise=noise, certain=certain)
 
 

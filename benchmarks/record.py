@@ -209,7 +209,8 @@ def draw(round_number: int, kinds: Sequence[str], folder: Path) -> list[Verdict]
     seeds = range(round_number * AT_ONCE, (round_number + 1) * AT_ONCE)
     faults = [_draw_fault(seed, kinds, own) for seed, own in zip(seeds, HALVES[half], strict=True)]
     with tempfile.TemporaryDirectory() as temporary:
-        landing, home = Path(temporary) / "landing", Path(temporary) / "home"
+        landing = Path(temporary) / "landing"
+        home = Path(temporary) / "home"
         shutil.copytree(folder / f"landing{1 - half}", landing)
         shutil.copytree(folder / f"home{1 - half}", home)
         fly(landing, home, [fault.record for fault in faults])

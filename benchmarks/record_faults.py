@@ -140,7 +140,8 @@ def join(rng: np.random.Generator, record: Record) -> Fault:
     """Record the first minutes of a flight, or all of it, under the flight before it."""
     names = list(record.flights)
     place = int(rng.integers(len(names) - 1))
-    first, second = names[place], names[place + 1]
+    first = names[place]
+    second = names[place + 1]
     rows = record.flights[second]
     at = pl.col("report_time")
     size_min = draw_size(rng, 5.0, _duration_min(rows) + 1.0)

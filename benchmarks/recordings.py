@@ -106,7 +106,8 @@ def repeated(values: list[np.ndarray]) -> float:
 def signals() -> Iterator[list[str]]:
     yield ["type", "signal", *_of_both("last digit", "noise", "repeated")]
     for name in FILES:
-        real, ours = recorded(name), simulated(name)
+        real = recorded(name)
+        ours = simulated(name)
         for column, title in COLUMNS.items():
             if column in real:
                 pairs = [(f(real[column]), f(ours[column])) for f in (digit, noise, repeated)]
@@ -134,7 +135,8 @@ def samples(name: str, unit: int) -> pl.DataFrame:
 
 def foretold(name: str, unit: int, terms: tuple[str, ...], way: pl.Expr | int) -> float:
     """Root mean square of the outlet foretold, of samples that the fit has not seen or of the other pack. [K]"""
-    own, component = samples(name, unit), components()["HXT"].with_terms(terms)
+    own = samples(name, unit)
+    component = components()["HXT"].with_terms(terms)
     learned, rest = (own, samples(name, way)) if isinstance(way, int) else (own.filter(way), own.filter(~way))
     model, _ = calibrate_component(component.model, learned)
     predicted = model.predict({}, {s.name: rest[s.name].to_numpy() for s in model.inputs})["hot_out_k"]
@@ -159,14 +161,17 @@ def scatter() -> Iterator[list[str]]:
     """Effectiveness over the time compared: all of its scatter, that within minutes, and from second to second."""
     yield ["type", "pack", *_of_both("scatter", "within a minute", "noise")]
     for name in FILES:
-        real, ours = _effectiveness(recorded(name)), _effectiveness(simulated(name))
+        real = _effectiveness(recorded(name))
+        ours = _effectiveness(simulated(name))
         for unit, (a, b) in enumerate(zip(real, ours, strict=True), 1):
             measures = (np.std, _about_slow, lambda values: noise([values]))
             yield [name, f"{unit}", *(f"{f(x):.4f}" for f in measures for x in (a, b))]
 
 
 def _effectiveness(values: Mapping[str, list[np.ndarray]]) -> list[np.ndarray]:
-    hot, out, tat = values["hot_in_degc"], values["hot_out_degc"], values["tat_degc"]
+    hot = values["hot_in_degc"]
+    out = values["hot_out_degc"]
+    tat = values["tat_degc"]
     n = min(len(v) for v in (*hot, *out, *tat))
     return [(hot[u][:n] - out[u][:n]) / (hot[u][:n] - tat[min(u, len(tat) - 1)][:n]) for u in (0, 1)]
 
@@ -229,7 +234,8 @@ def speed(hours: int = HOURS) -> Texts:
     """Time of a recording of so many hours."""
     layout = Map717(WORDS, parameters(), Counter(Piece(1, 0, 12)))
     words = recording(hours)
-    aligned, bits = words.view(np.uint8).ravel(), stream(words)
+    aligned = words.view(np.uint8).ravel()
+    bits = stream(words)
     values = 0
 
     def read(data: np.ndarray) -> None:

@@ -51,7 +51,8 @@ PARTS = {
 def killed(root: Path) -> tuple[Path, Path]:
     """Landing zone and home of a small night that was killed between its marks."""
     list(write_fleet(root, 3, FleetSettings(operators=1, tails=1, flights=30)))
-    landing, home = root / "landing", root / "home"
+    landing = root / "landing"
+    home = root / "home"
     command = [sys.executable, "-m", "benchmarks.recovery", "--child", "night", str(landing), str(home)]
     done = subprocess.run(command, check=False)
     assert done.returncode == -signal.SIGKILL, done
@@ -62,7 +63,9 @@ def grow(landing: Path, home: Path, flights: int) -> None:
     """Extend landing zone, ledger, store and history by some flights."""
     days = [date(2018, 1, 1) + timedelta(d) for d in range(flights // len(AIRCRAFT) // LEGS)]
     ids = [f"{day:%Y%m%d}_{leg:02d}" for day in days for leg in range(1, LEGS + 1)]
-    ledger, files, flights_of_file = Ledger(home), [], {}
+    ledger = Ledger(home)
+    files = []
+    flights_of_file = {}
     for operator, tail in AIRCRAFT:
         folder = landing / operator / tail / "acms"
         folder.mkdir(parents=True)

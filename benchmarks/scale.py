@@ -88,7 +88,8 @@ def measured(landing: Path, home: Path) -> dict[str, float]:
 
 def measure_night(landing: Path, home: Path) -> None:
     """Run a night and print its cost, imports excluded."""
-    began, before = time.monotonic(), _cpu_s()
+    began = time.monotonic()
+    before = _cpu_s()
     night(landing, home)
     wall = time.monotonic() - began
     forkserver._forkserver._stop()  # its processes count as ours once they have ended
@@ -115,7 +116,8 @@ def query_ms(home: Path, sql: str, rounds: int = 7) -> float:
 
 def sized(name: str, rounds: int, scratch: Path) -> dict[str, float]:
     """Medians of one size: a night, an idle one, and one of few new flights."""
-    size, rows = SIZES[name], []
+    size = SIZES[name]
+    rows = []
     list(write_fleet(scratch / name, 11, size))
     landing = scratch / name / "landing"
     for k in range(rounds):

@@ -65,7 +65,8 @@ class Site:
 
     def environment(self, machine: str) -> dict[str, str]:
         """The variables that make it part of the fleet."""
-        home, at = self.home(machine), BRIDGE_IP if machine in self.names else "127.0.0.1"
+        home = self.home(machine)
+        at = BRIDGE_IP if machine in self.names else "127.0.0.1"
         folders = {"HDT_LANDING": str(self.landing), "HDT_HOME": str(home), "DAGSTER_HOME": str(home / "dagster")}
         database, broker = (url.replace("127.0.0.1", at) for url in (self.database, self.broker))
         servers = {"HDT_POSTGRES_URL": database, "HDT_LEDGER_URL": database, "HDT_BROKER_URL": broker}
@@ -210,7 +211,8 @@ def namespaces(machines: tuple[str, ...]) -> Iterator[dict[str, str]]:
     _ip(f"link add {_BRIDGE} type bridge", f"address add {BRIDGE_IP}/24 dev {_BRIDGE}", f"link set {_BRIDGE} up")
     try:
         for k, name in enumerate(names.values(), 2):
-            here, there = f"hdtv{k}", f"hdtp{k}"
+            here = f"hdtv{k}"
+            there = f"hdtp{k}"
             _ip(f"netns add {name}", f"link add {here} type veth peer name {there} netns {name}")
             _ip(f"link set {here} master {_BRIDGE}", f"link set {here} up")
             inside = (f"address add 10.77.0.{k}/24 dev {there}", f"link set {there} up", "link set lo up")

@@ -74,7 +74,8 @@ def main(
     """Estimate `seeds` records (`slow_seeds` for the methods that take long), estimators in turn on every record."""
     chosen = contestants() if estimators is None else tuple(estimators)
     last = {e.name: slow_seeds if e.name in SLOW else seeds for e in chosen}
-    estimate, n_records = partial(_record, chosen, last), max(last.values())
+    estimate = partial(_record, chosen, last)
+    n_records = max(last.values())
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         run = map if workers == 1 else partial(pool.map, chunksize=5)
         records = list(track(run(estimate, range(n_records)), "Records", n_records, console=Console(stderr=True)))
@@ -107,7 +108,8 @@ def _row(name: str, records: list[tuple[Estimate, float]]) -> Row:
     bound = fisher(oscillator_problem(0), TRUTH).bound_sd
     theta = np.array([e.belief.mean for e, _ in records])
     sd = np.array([e.belief.sd for e, _ in records])
-    error, truth = theta - TRUTH, true_position_m()
+    error = theta - TRUTH
+    truth = true_position_m()
     positions = oscillator_problem(0).simulate(theta)[:, :, 0]
     mse = ((positions - truth) ** 2).mean(axis=1)
     moving = truth != 0.0
@@ -170,7 +172,8 @@ def _pair(values: np.ndarray, form: str) -> str:
 def figures(rows: list[Row], folder: Path) -> list[Path]:
     """Figures 8 and 9 of the paper, from the record with seed 0."""
     rcParams["svg.hashsalt"] = "spring-mass-damper"  # the same figures, byte for byte, every time
-    problem, truth = oscillator_problem(0), true_position_m()
+    problem = oscillator_problem(0)
+    truth = true_position_m()
     t = 0.01 * np.arange(truth.size)
     folder.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(8, 3.2), layout="constrained")

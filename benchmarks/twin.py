@@ -84,7 +84,8 @@ def fouling_numbers(rows: pl.DataFrame) -> dict[str, float]:
     pack = ["seed", "tail", "pack"]
     rolling = pl.col("value") - pl.col("value").rolling_median(21, center=True, min_samples=5).over(pack)
     wearing = f.filter((pl.col("t").max() - pl.col("t").min()).over(pack) > 0.05)
-    error, sd = f["e"].to_numpy(), f["sd"].to_numpy()
+    error = f["e"].to_numpy()
+    sd = f["sd"].to_numpy()
     return {
         "fouling, mean absolute error": per_pack(f, pl.col("e").abs().mean()),
         "fouling, noise of healthy packs": per_pack(healthy.with_columns(r=rolling), spread_expr(pl.col("r"))),
@@ -131,7 +132,8 @@ def best_score(error: np.ndarray) -> float:
 
 def bootstrap(rows: pl.DataFrame, name: str, draws: int) -> tuple[float, float]:
     """5th and 95th percentile of a number over fleets drawn with replacement."""
-    rng, by_fleet = np.random.default_rng(0), rows.partition_by("seed")
+    rng = np.random.default_rng(0)
+    by_fleet = rows.partition_by("seed")
     numbers = []
     for _ in range(draws):
         picks = rng.integers(0, len(by_fleet), len(by_fleet))

@@ -60,7 +60,8 @@ class WatchedCeleryRunLauncher(CeleryRunLauncher):
 
         While none answers the broker may be down and its workers intact, and without workers there is none to retry on.
         """
-        task, tasks = run.tags.get(DAGSTER_CELERY_TASK_ID_TAG), self._tasks()
+        task = run.tags.get(DAGSTER_CELERY_TASK_ID_TAG)
+        tasks = self._tasks()
         if task is None or tasks is None or task in tasks:  # a run without a task was never launched
             self._missing_since.pop(run.run_id, None)
             return CheckRunHealthResult(WorkerStatus.RUNNING)
@@ -71,7 +72,8 @@ class WatchedCeleryRunLauncher(CeleryRunLauncher):
 
     def get_run_worker_debug_info(self, run: DagsterRun, include_container_logs: bool | None = True) -> str:
         """Describe a lost run for the daemon's message; stock reads the result backend, and there is none."""
-        task, tasks = run.tags.get(DAGSTER_CELERY_TASK_ID_TAG), self._tasks()
+        task = run.tags.get(DAGSTER_CELERY_TASK_ID_TAG)
+        tasks = self._tasks()
         state = "no worker answers" if tasks is None else f"workers are at {len(tasks)} tasks"
         return f"Celery task {task}; {state}, {'this one' if task in (tasks or ()) else 'not this one'}"
 

@@ -101,7 +101,8 @@ class CoalescingEventLog(SqlEventLogStorage):
         """Store events of one or more runs in one transaction, with the deferred ones."""
         self._deferred += events
         if not all(e.dagster_event_type in _DEFERRED for e in events):
-            pending, self._deferred = self._deferred, []
+            pending = self._deferred
+            self._deferred = []
             self._store([self._group(e, *self._partitions(e)) for e in pending])
 
     @without_garbage_collection()
@@ -123,7 +124,9 @@ class CoalescingEventLog(SqlEventLogStorage):
         partitions = set(plan_ids) if len(plan_ids) <= _MAX_VALUES else None
         event_ids = latest(asset_key, _MATERIALIZED, partitions) if plan_ids else {}
         open_plans = {i: p for p, i in plan_ids.items() if i > event_ids.get(p, 0)}
-        ids, columns, attempts = list(open_plans), SqlEventLogStorageTable.c, dict[str, tuple[str, int]]()
+        ids = list(open_plans)
+        columns = SqlEventLogStorageTable.c
+        attempts = dict[str, tuple[str, int]]()
         with self.index_connection() as conn:
             for at in range(0, len(ids), _MAX_VALUES):
                 rows = select(columns.id, columns.run_id).where(columns.id.in_(ids[at : at + _MAX_VALUES]))
@@ -171,7 +174,8 @@ def _move_check_last(conn: Connection, event: EventLogEntry) -> None:
     A page compares the last record of a check with the last materialisation, and shows the check as missing where they
     are of two runs. An evaluation comes with its materialisation, in one transaction.
     """
-    evaluation, columns = event.get_dagster_event().asset_check_evaluation_data, AssetCheckExecutionsTable.c
+    evaluation = event.get_dagster_event().asset_check_evaluation_data
+    columns = AssetCheckExecutionsTable.c
     of_check = and_(columns.asset_key == evaluation.asset_key.to_string(), columns.check_name == evaluation.check_name)
     own = and_(of_check, columns.run_id == event.run_id)
     last = conn.execute(select(func.max(columns.id)).where(of_check)).scalar()

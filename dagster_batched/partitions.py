@@ -215,10 +215,12 @@ class EventGroup:
         """Yield all but the first, each a millisecond after the one before it."""
         if len(self.partitions) < 2:
             return
-        pattern, at_s = self._pattern(), self.event.timestamp
+        pattern = self._pattern()
+        at_s = self.event.timestamp
         for i, partition in enumerate(self.partitions[1:], 1):
             if partition:
-                own, then_s = _dimensions(partition), at_s + i * APART_S
+                own = _dimensions(partition)
+                then_s = at_s + i * APART_S
                 values = {key: _quoted(value) for key, value in own.items()} | {
                     "partition": _quoted(partition), "timestamp": repr(then_s), _NUMBERS: self._numbers(i)
                 }  # fmt: skip

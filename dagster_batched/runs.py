@@ -74,7 +74,8 @@ def open_instance(base: Path, mark: str, note: str) -> dg.DagsterInstance:
     make_keys_quickly()
     base.mkdir(parents=True, exist_ok=True)
     history = yaml.safe_dump(f"{base}/history", default_style='"', width=math.inf).rstrip()
-    settings, ours = base / "dagster.yaml", _SETTINGS.format(history=history, mark=mark, note=note)
+    settings = base / "dagster.yaml"
+    ours = _SETTINGS.format(history=history, mark=mark, note=note)
     written = settings.read_text() if settings.exists() else ""
     if written != ours and (written.startswith(mark) or not written):  # a kill of an older version left it empty
         _replace_text(settings, ours)

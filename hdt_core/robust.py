@@ -68,7 +68,8 @@ def huber_slopes(x: Array, y: Array, ridge: Array, steps: int, k: float = HUBER_
         rows = np.column_stack([x, y])
         if group is not None:
             rows -= group_means(rows, group, weight)[0][group]
-        dx, dy = rows[:, :-1], rows[:, -1]
+        dx = rows[:, :-1]
+        dy = rows[:, -1]
         slopes = np.linalg.solve(dx.T @ (weight[:, None] * dx) + ridge, dx.T @ (weight * dy))
         residual = np.abs(dy - dx @ slopes)
         weight = huber_weights(residual, spread(residual), k)

@@ -93,7 +93,8 @@ def _assign(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 def _mute(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
     _require_note(fields, "a mute")
-    now, until = datetime.now(UTC), parse_moment(fields.get("until"), "until")[1]
+    now = datetime.now(UTC)
+    until = parse_moment(fields.get("until"), "until")[1]
     if not now < until < now + LONGEST_MUTE:
         raise RefusedError(f"until is a day within the next {LONGEST_MUTE.days} days, not {fields.get('until')}")
     return {"until": until.isoformat()}
@@ -107,7 +108,8 @@ def _close(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
     action = action or ACTIONS[0]
     if action not in ACTIONS:
         raise RefusedError(f"action is {', '.join(ACTIONS)}, not {action}")
-    now, on = datetime.now(UTC), fields.get("on")
+    now = datetime.now(UTC)
+    on = fields.get("on")
     day, at = parse_moment(on, "on") if on else (now.date(), now)
     if day < case["raised_at"].date() or day > now.date() or (_has_time(on) and at > now):
         raise RefusedError(f"on is a day from {case['raised_at'].date()}, when it was raised, to today, not {on}")

@@ -110,7 +110,8 @@ def upstream_tables(stage: Stage) -> set[str]:
 
     Parents of a baseline are not among them, for it depends on them within its window only.
     """
-    tables, pending = set[str](), list(stage.parents)
+    tables = set[str]()
+    pending = list(stage.parents)
     while pending:
         table = pending.pop()
         if table not in tables:
@@ -271,7 +272,8 @@ def steps(stages: Iterable[Stage]) -> list[Step]:
     ValueError
         Where the stages' parents form a cycle.
     """
-    remaining, ordered_steps = list(stages), list[Step]()
+    remaining = list(stages)
+    ordered_steps = list[Step]()
     while remaining:
         last = list[Stage]()
         while leaves := [s for s in _leaf_stages(remaining) if not last or s.grain == last[0].grain]:

@@ -56,7 +56,8 @@ def _repair_tables(landing: Path, store: Store, ledger: Ledger) -> list[str]:
 
 def _damaged_since(store: Store, last_seal: seal.Seal, ledger: Ledger) -> list[str]:
     """Find sealed files that changed: by size and time; this night's turn by content, all in a suspect home."""
-    to_read, logs = seal.files_to_read(last_seal.files, ledger.nights().height), list[str]()
+    to_read = seal.files_to_read(last_seal.files, ledger.nights().height)
+    logs = list[str]()
     if store.place.suspect:
         logs = [f"{table}/{LOG}" for table in TABLES if not _has_readable_log(store, table)]
         to_read = set(last_seal.files)
@@ -110,7 +111,8 @@ def _repair_table(
         yield f"the log of {table} was damaged: written anew, and {MAKER[table].name} is made again"
     current = {f"{table}/{file}" for file in store.tables.shards(table).values()}.union(sealed_files or ())
     files = [path for path in paths if not seal.is_log(path)]
-    current_damaged, missing_deliveries = [path for path in files if path in current], set[str]()
+    current_damaged = [path for path in files if path in current]
+    missing_deliveries = set[str]()
     store.tables.remove_files(table, [path.removeprefix(f"{table}/") for path in current_damaged])
     for path in files:  # of no use to anybody, and found again otherwise
         (Path(store.place.url) / path).unlink(missing_ok=True)

@@ -175,12 +175,14 @@ class FrameIO(dg.IOManager):
     """IO manager that writes frames to the store of one home."""
 
     def __init__(self, store: Store, ledger: Ledger) -> None:
-        self.store, self.ledger = store, ledger
+        self.store = store
+        self.ledger = ledger
 
     def handle_output(self, context: dg.OutputContext, made: Made) -> None:
         """Store a frame, mark its cells as stored, and report the rows of each cell."""
         start_s = time.monotonic()
-        table, tags = context.asset_key.path[-1], context.step_context.run_tags
+        table = context.asset_key.path[-1]
+        tags = context.step_context.run_tags
         scope = PartitionScope.of(list(context.asset_partition_keys) if context.has_asset_partitions else None)
         with storing(self.ledger, scope, table, made.cells, tags):
             self.store_frame(table, scope, made.frame, made.cells)
@@ -249,7 +251,8 @@ def store_broken_rows(store: Store, ledger: Ledger, scope: PartitionScope, table
 
     They are stored beside the rejected delivered rows, in a shard for each table, in place of those of the same cells.
     """
-    table_of_rows, name = _TABLE_OF_GRAIN[TABLES[table].grain], f"{_ASIDE}{table}"
+    table_of_rows = _TABLE_OF_GRAIN[TABLES[table].grain]
+    name = f"{_ASIDE}{table}"
 
     def change(shards: StoredShards) -> Iterator[tuple[str, pl.DataFrame]]:
         for aircraft, flights in (scope.aircraft or {FLEET: []}).items():
@@ -273,7 +276,8 @@ def _quarantine_rows(ledger: Ledger, aircraft: Aircraft, table: str, rows: pl.Da
     }
     frames = [NO_FAULTS]
     for row in rows.iter_rows(named=True):
-        faults, flight = str(row.pop("faults")), row.get("flight_id")
+        faults = str(row.pop("faults"))
+        flight = row.get("flight_id")
         file, at = files.get(str(flight), (table, datetime.now(UTC)))
         columns = ", ".join(c for c in row if f"{c} " in f"{faults} ")
         fault = Fault(BREAKS_DECLARATION, None, columns or None, f"{table}: {faults}.", 0, flight, json_text(row))

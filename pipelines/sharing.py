@@ -239,7 +239,8 @@ def _batches(con: duckdb.DuckDBPyConnection, view: str) -> Iterator[pl.DataFrame
 
 
 def _parquet(con: duckdb.DuckDBPyConnection, view: str, path: Path) -> int:
-    writer, n = None, 0
+    writer = None
+    n = 0
     for frame in _batches(con, view):
         table = frame.to_arrow(compat_level=pl.CompatLevel.oldest())
         writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")

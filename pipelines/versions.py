@@ -35,7 +35,8 @@ def expected_versions(ledger: Ledger, table: str) -> pl.DataFrame:
 
 
 def _expected_versions(ledger: Ledger, table: str, parents: Mapping[str, pl.DataFrame]) -> pl.DataFrame:
-    recipe, grain = LINEAGE[table], TABLES[table].grain
+    recipe = LINEAGE[table]
+    grain = TABLES[table].grain
     settings = (value for name in recipe.settings for value in HOME_SETTINGS[name](ledger.home))
     code = " ".join((recipe.code, *settings))
     if recipe.files:
@@ -191,7 +192,8 @@ def records_until(records: pl.DataFrame, cells: pl.DataFrame) -> pl.DataFrame:
 
 def baseline_inputs(ledger: Ledger) -> list[str]:
     """Return the model's inputs as lines to be hashed."""
-    store, cells = Store(ledger.home), baseline_cells(ledger)
+    store = Store(ledger.home)
+    cells = baseline_cells(ledger)
     records = [baseline_records(store, t, cells) for t in ("raw_messages", "raw_maintenance", "raw_reports")]
     terms = [f"term {name}" for name in accepted_terms(ledger.home)]
     return [line for frame in (cells, *records) for line in sorted(map(str, frame.rows()))] + terms

@@ -29,7 +29,8 @@ def main() -> None:
     for recipe in RECIPES:
         if options.only and recipe.name not in options.only:
             continue
-        began, folder = time.monotonic(), recipe.find_folder(Path(options.data))
+        began = time.monotonic()
+        folder = recipe.find_folder(Path(options.data))
         result = recipe.run(folder) if folder else None
         text = described(recipe, result)
         print(f"{text}\n\n({time.monotonic() - began:.0f} s)\n", flush=True)

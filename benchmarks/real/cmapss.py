@@ -97,7 +97,8 @@ def learn_track(train: Engines) -> Track:
 
 def smoothed(values: Array, unit: Index, gain: float) -> Array:
     """Exponential mean within an engine; the first cycles are averaged, not forgotten."""
-    out, count = np.empty_like(values), 0
+    out = np.empty_like(values)
+    count = 0
     for k in range(len(values)):
         count = 1 if k == 0 or unit[k] != unit[k - 1] else count + 1
         before = values[k] if count == 1 else out[k - 1]
@@ -115,7 +116,8 @@ def features(engines: Engines, track: Track) -> Array:
 
 def forecast(folder: Path, name: str) -> tuple[Foretold, Array]:
     """Forecasts of the test engines of one set, and their true lives."""
-    train, test = load(folder, f"train_{name}"), load(folder, f"test_{name}")
+    train = load(folder, f"train_{name}")
+    test = load(folder, f"test_{name}")
     truth = np.loadtxt(folder / f"RUL_{name}.txt")
     track = learn_track(train)
     teach = Rows(features(train, track), train.left, train.unit, train.unit % FOLDS)
@@ -130,7 +132,8 @@ def phm_score(error: Array) -> float:
 
 def scores(name: str, forecast: Foretold, truth: Array) -> list[Score]:
     """Errors and intervals against lives capped at 125, as published tables have them, and uncapped."""
-    engine, capped = np.arange(truth.size), np.minimum(truth, HEALTHY_CYCLES)
+    engine = np.arange(truth.size)
+    capped = np.minimum(truth, HEALTHY_CYCLES)
     middle, capped_middle = (expected_left(forecast.by, most) for most in (EDGES[-1], HEALTHY_CYCLES))
     errors = {"capped at 125": capped_middle - capped, "uncapped": capped_middle - truth}
 

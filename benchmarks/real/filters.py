@@ -144,7 +144,8 @@ def lives(folder: Path) -> Lives:
 
 def dust_left(teach: Lives) -> tuple[Array, Array]:
     """Loads, and the dust that filters of that load still took: the middle of those that teach."""
-    grid, curves = np.linspace(0.0, LIMIT, 41), []
+    grid = np.linspace(0.0, LIMIT, 41)
+    curves = []
     for life in np.unique(teach.life):
         own = teach.life == life
         risen = np.maximum.accumulate(teach.load[own])
@@ -188,7 +189,8 @@ def leave_kind_out(rows: Lives) -> tuple[Foretold, Foretold]:
     """Each dust kind foretold by filters of the other kinds: with physics, and without."""
     predictions = []
     for physics in (True, False):
-        by, bounds = np.empty((rows.left.size, EDGES.size)), np.empty((4, rows.left.size))
+        by = np.empty((rows.left.size, EDGES.size))
+        bounds = np.empty((4, rows.left.size))
         for kind in np.unique(rows.kind):
             inside = rows.kind == kind
             teach = rows.of(~inside)
@@ -225,7 +227,8 @@ def run(folder: Path) -> Result:
 
     def draw(figure: Figure) -> None:
         for k, life in enumerate(np.unique(rows.life)[:: max(1, np.unique(rows.life).size // 4)][:4]):
-            own, axes = rows.life == life, figure.add_subplot(1, 4, k + 1)
+            own = rows.life == life
+            axes = figure.add_subplot(1, 4, k + 1)
             axes.fill_between(rows.second[own], ours.low[own], ours.high[own], alpha=0.3, label="90 % interval")
             axes.plot(rows.second[own], rows.left[own], "k", label="true")
             axes.set(title=f"filter {life + 1}", xlabel="time [s]", ylabel="seconds left")

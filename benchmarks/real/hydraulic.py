@@ -101,11 +101,13 @@ def run(folder: Path) -> Result:
     """Settled cycles."""
     rows, measured = conductances(folder)
     group = rows["run"].to_numpy()
-    x, y = rows.select(pl.col("ua_w_k").log()).to_numpy(), rows["duty_pct"].to_numpy()
+    x = rows.select(pl.col("ua_w_k").log()).to_numpy()
+    y = rows["duty_pct"].to_numpy()
     right = cross_val_predict(LinearDiscriminantAnalysis(), x, y, groups=group, cv=GroupKFold(10)) == y
     scores = [scored("duty class from UA alone, runs left out", ">= 0.99", group, right)]
     for duty in sorted(set(y.tolist()), reverse=True):
-        name, goal = f"cooler at {duty} %: moved by other faults, at most", "<= 0.03" if duty == LEAST else ""
+        name = f"cooler at {duty} %: moved by other faults, at most"
+        goal = "<= 0.03" if duty == LEAST else ""
         scores.append(scored(name, goal, group, lambda i, duty=duty: wander(rows[i], duty)))
 
     def draw(figure: Figure) -> None:

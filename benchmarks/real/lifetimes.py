@@ -50,7 +50,8 @@ def history_features(loss: Array, unit: Index, cycle: Index, limit: float) -> Ar
     level = np.full((unit.max() + 1, cycle.max() + 1), np.nan)
     level[unit, cycle] = loss
     age = np.broadcast_to(np.arange(level.shape[1], dtype=float), level.shape)
-    ratio, unknown = np.log1p(-np.minimum(level, 0.95)), np.full_like(level, np.nan)
+    ratio = np.log1p(-np.minimum(level, 0.95))
+    unknown = np.full_like(level, np.nan)
     panel = Panel(level, np.full_like(level, 0.1), age, ratio, unknown, unknown, unknown, unknown)
     # nothing is asked that differs from cycle to cycle: a unit ends at a limit, as a compressor does
     critical = np.full_like(level, np.log1p(-min(limit, 0.95)))
@@ -74,7 +75,8 @@ def foretell(teach: Rows, x: Array, level_rows: Index | None = None) -> Foretold
     level_rows : array of int, optional
         Rows of `teach` that levels are learned from, such as those where a unit might be cut; all by default.
     """
-    predicted, forecasts = np.empty((teach.left.size, EDGES.size)), []
+    predicted = np.empty((teach.left.size, EDGES.size))
+    forecasts = []
     for fold in np.unique(teach.fold):
         inside = teach.fold == fold
         model = _fitted(teach.of(~inside))

@@ -70,7 +70,8 @@ def life_bounds(length: ArrayLike, ended: ArrayLike, followed: ArrayLike | None 
     >>> life_bounds(flights, np.ones(400, bool), np.full(400, 500.0))
     LifeBounds(low=20.0, high=382.0)
     """
-    life, end = np.asarray(length, dtype=float), np.asarray(ended, dtype=bool)
+    life = np.asarray(length, dtype=float)
+    end = np.asarray(ended, dtype=bool)
     if followed is None:
         return _weighed(life, end)
     watched = np.asarray(followed, dtype=float)
@@ -90,7 +91,8 @@ def _exact(life: Array, end: Flags, watched: Array) -> LifeBounds:
     lives = np.where(end & (life < cut), life, np.inf)[watched >= cut]
     first_look = np.arange(lives.size) % 10 == 0
     sample = np.sort(lives[~first_look])
-    n, missed = sample.size, 1.0 - LEVEL
+    n = sample.size
+    missed = 1.0 - LEVEL
     two_sided = np.isfinite(lives[first_look]).mean() >= 1.0 - missed / 2.0
     tail = missed / 2.0 if two_sided else missed
     first = int(np.floor(tail * (n + 1) + 1e-9))
@@ -109,7 +111,8 @@ def _weighed(life: Array, end: Flags) -> LifeBounds:
     use = ~half & end & (watched > 0.0)
     weight = 1.0 / watched[use]
     order = np.argsort(life[use])
-    sample, total = life[use][order], float((~half).sum())
+    sample = life[use][order]
+    total = float((~half).sum())
     mass = np.cumsum(weight[order]) / (total + 1.0)
     tail = (1.0 - LEVEL) / 2.0
     below = int(np.searchsorted(mass, tail, side="right"))
@@ -159,7 +162,8 @@ def of_law(name: str, leave: float | None, units: int = 3000) -> Score:
     shares = []
     for seed in range(TABLES):
         rng = np.random.default_rng(seed)
-        life, followed = LAW.rvs(units, random_state=rng), 1500.0 - rng.uniform(0.0, 900.0, units)
+        life = LAW.rvs(units, random_state=rng)
+        followed = 1500.0 - rng.uniform(0.0, 900.0, units)
         watched = followed if leave is None else np.minimum(followed, rng.exponential(leave, units))
         bounds = life_bounds(np.minimum(life, watched), life <= watched, followed if leave is None else None)
         shares.append(float(LAW.cdf(bounds.high) - LAW.cdf(bounds.low)))
@@ -179,7 +183,8 @@ def of_operators() -> list[Score]:
         length, end = (np.concatenate([pair[n] for pair in others]) for n in (0, 1))
         bounds = life_bounds(length, end, np.full(length.size, float(FLIGHTS)))
         shares.append(share_within(life, ended, bounds))
-    within, fleet = np.array(shares), range(len(shares))
+    within = np.array(shares)
+    fleet = range(len(shares))
     mean = scored("simulated operators, one left out: coverage", "0.89-0.91", fleet, within)
     return [mean, scored("the same, the operator held worst", "", fleet, lambda i: float(within[i].min()))]
 

@@ -42,7 +42,8 @@ class Normal:
 
 def learn(rows: Array) -> Normal:
     """Mean, spread and precision of normal rows; a sensor that never moves says nothing."""
-    mean, spread = np.nanmean(rows, axis=0), np.nanstd(rows, axis=0)
+    mean = np.nanmean(rows, axis=0)
+    spread = np.nanstd(rows, axis=0)
     spread = np.where(spread > STILL, spread, np.inf)
     z = np.nan_to_num((rows - mean) / spread)
     jitter = np.random.default_rng(0).standard_normal(z.shape)  # a sensor that stands still has a variance
@@ -93,7 +94,9 @@ def files(folder: Path) -> list[Path]:
 
 def run(folder: Path) -> Result:
     """All runs."""
-    truth, called_rows, group = [], [], []
+    truth = []
+    called_rows = []
+    group = []
     for number, file in enumerate(files(folder)):
         sensors, wrong = read(file)
         rows = sensors.to_numpy()

@@ -80,14 +80,17 @@ def core(
     )
     hot_rate_w_k, ratio = capacity_rates(hot_flow_kg_s, ram_flow_kg_s, hot_in_k, hot_out_k, cold_in_k)
     cold_rate_w_k = hot_rate_w_k / ratio
-    hot_share, cold_share = hot_flow_kg_s / REFERENCE_HOT_FLOW_KG_S, ram_flow_kg_s / REFERENCE_RAM_FLOW_KG_S
-    gains, rest = film_gains(hot_in_k, cold_in_k), 1.0 - hx_hot_share - hx_wall_share
+    hot_share = hot_flow_kg_s / REFERENCE_HOT_FLOW_KG_S
+    cold_share = ram_flow_kg_s / REFERENCE_RAM_FLOW_KG_S
+    gains = film_gains(hot_in_k, cold_in_k)
+    rest = 1.0 - hx_hot_share - hx_wall_share
     hot_film_w_k = hx_ua_reference_w_k / film_resistance(hot_share, hx_hot_share, hx_exponent_hot, gains[0])
     cold_film_w_k = hx_ua_reference_w_k / film_resistance(cold_share, rest, hx_exponent_cold, gains[1])
     heat_w = hot_rate_w_k * (hot_in_k - hot_out_k)
     under_hot_k = 0.5 * (hot_in_k + hot_out_k) - heat_w / hot_film_w_k
     over_cold_k = 0.5 * (cold_in_k + ram_out_k) + heat_w / cold_film_w_k
-    hot_gain, cold_gain = -np.expm1(-hot_film_w_k / hot_rate_w_k), -np.expm1(-cold_film_w_k / cold_rate_w_k)
+    hot_gain = -np.expm1(-hot_film_w_k / hot_rate_w_k)
+    cold_gain = -np.expm1(-cold_film_w_k / cold_rate_w_k)
     settling_s = hx_core_heat_j_k / (hot_rate_w_k * hot_gain + cold_rate_w_k * cold_gain)
     return Core(hot_out_k, ram_out_k, 0.5 * (under_hot_k + over_cold_k), hot_gain, cold_gain, settling_s)
 

@@ -176,9 +176,12 @@ def _physics_values(
 ) -> dict[str, Array]:
     """Compute door, outlet and ram outlet by the physics where the fault acts, else as recorded."""
     signals = {n: rows[n].cast(pl.Float64).to_numpy() for n in SENSORS if n in rows.columns}
-    flow, hot_k = signals["pack_flow_lbpm"] * LB_PER_MIN, signals["hx_in_degc"] + ZERO_C
-    out_k, cold_k = signals["hx_out_degc"] + ZERO_C, signals["tat_degc"] + ZERO_C
-    door, loss = 0.01 * signals["ram_door_pct"], _loss(fault, since)
+    flow = signals["pack_flow_lbpm"] * LB_PER_MIN
+    hot_k = signals["hx_in_degc"] + ZERO_C
+    out_k = signals["hx_out_degc"] + ZERO_C
+    cold_k = signals["tat_degc"] + ZERO_C
+    door = 0.01 * signals["ram_door_pct"]
+    loss = _loss(fault, since)
     air = {"total_pressure_pa": PSI * signals["pt_psia"], "tat_k": cold_k, "altitude_m": FOOT * signals["altitude_ft"]}
     films = {name: np.asarray(exchanger.nominal[name]) for name in (*_FILMS, "hx_ua_reference_w_k")}
 
@@ -199,7 +202,8 @@ def _physics_values(
             new_door = bisect_door(lambda at: outlets(at, loss)[0] > out_k, door, np.maximum(door, FULL_OPEN), STEPS)
         else:
             new_door = door
-        old_outlets, new_outlets = outlets(door, 0.0 * loss), outlets(new_door, loss)
+        old_outlets = outlets(door, 0.0 * loss)
+        new_outlets = outlets(new_door, loss)
     is_faulty = (since >= 0) & np.isfinite(ua_w_k) & np.isfinite(new_outlets[0])
     changes = {"ram_door_pct": 100.0 * (new_door - door), "hx_out_degc": new_outlets[0] - out_k}
     if "ram_out_degc" in signals:

@@ -36,12 +36,20 @@ def kalman(
     k = force_n.size
     start = np.zeros((J, J))
     start[2:, 2:] = prior_cov
-    means, covs, rows = np.empty((k, J)), np.empty((k, J, J)), np.empty((k, J))
-    gains, innovations, precisions = np.empty((k, J)), np.empty(k), np.empty(k)
+    means = np.empty((k, J))
+    covs = np.empty((k, J, J))
+    rows = np.empty((k, J))
+    gains = np.empty((k, J))
+    innovations = np.empty(k)
+    precisions = np.empty(k)
     n_smoothed = k if smoother_passes > 0 else 1
-    about, about_cov = np.empty((n_smoothed, J)), np.empty((n_smoothed, J, J))
-    path, path_sd = np.empty((k, 2)), np.empty((k, 2))
-    before, n_passes, centre = np.zeros(2), 0, prior_mean.copy()
+    about = np.empty((n_smoothed, J))
+    about_cov = np.empty((n_smoothed, J, J))
+    path = np.empty((k, 2))
+    path_sd = np.empty((k, 2))
+    before = np.zeros(2)
+    n_passes = 0
+    centre = prior_mean.copy()
     for turn in range(smoother_passes + 1):
         if turn > 0:
             for j in range(2):
@@ -75,12 +83,16 @@ def _forward(
     lower: Array, upper: Array, sigma_points: bool, again: bool, about: Array, about_cov: Array,
     means: Array, covs: Array, rows: Array, gains: Array, innovations: Array, precisions: Array,
 ) -> float:  # fmt: skip
-    m, p, row, spread = np.zeros(J), start.copy(), np.zeros(J), np.zeros(2)
+    m = np.zeros(J)
+    p = start.copy()
+    row = np.zeros(J)
+    spread = np.zeros(2)
     work = np.zeros((J, J))
     m[2:] = prior_mean
     for j in range(2):
         m[2 + j] = min(max(m[2 + j], lower[j]), upper[j])
-    nis, n_seen = 0.0, 0
+    nis = 0.0
+    n_seen = 0
     for i in range(force_n.size):
         precisions[i] = innovations[i] = 0.0
         for a in range(J):
@@ -110,7 +122,8 @@ def _correct(
     m: Array, p: Array, measurement: float, sigma_m: float, gains: Array, innovations: Array, precisions: Array, i: int
 ) -> float:
     """Update by one position, which is the first component."""
-    variance, innovation = p[0, 0] + sigma_m**2, measurement - m[0]
+    variance = p[0, 0] + sigma_m**2
+    innovation = measurement - m[0]
     precision = 1.0 / variance
     precisions[i], innovations[i] = precision, innovation
     for a in range(J):
@@ -126,7 +139,8 @@ def _correct(
 @compiled
 def _tangent(m: Array, force: float, h: float, lower: Array, upper: Array, row: Array, spread: Array) -> None:
     """Row of the velocity's step, its offset in spread[0], no variance in spread[1]."""
-    c, k = min(max(m[2], lower[0]), upper[0]), min(max(m[3], lower[1]), upper[1])
+    c = min(max(m[2], lower[0]), upper[0])
+    k = min(max(m[3], lower[1]), upper[1])
     row[0], row[1], row[2], row[3] = -h * k, 1.0 - h * c, -h * m[1], -h * m[0]
     spread[0] = h * (force + c * m[1] + k * m[0])
     spread[1] = 0.0
@@ -139,12 +153,14 @@ def _regress(
     """The same by regression over eight sigma points of equal weight."""
     _cholesky(p, root)
     far = np.sqrt(float(J))
-    values, half = np.zeros((2, J)), np.zeros(J)
+    values = np.zeros((2, J))
+    half = np.zeros(J)
     mean = 0.0
     for a in range(J):
         for sign in range(2):
             push = far if sign == 0 else -far
-            x, v = m[0] + push * root[0, a], m[1] + push * root[1, a]
+            x = m[0] + push * root[0, a]
+            v = m[1] + push * root[1, a]
             c = min(max(m[2] + push * root[2, a], lower[0]), upper[0])
             k = min(max(m[3] + push * root[3, a], lower[1]), upper[1])
             values[sign, a] = v + h * (force - c * v - k * x)
@@ -225,7 +241,9 @@ def smooth(
 ) -> None:  # fmt: skip
     """Beliefs given the whole record into `about` (k, J) and `about_cov` (k, J, J), by Bryson and Frazier's
     adjoint."""
-    pull, weight, half = np.zeros(J), np.zeros((J, J)), np.zeros((J, J))
+    pull = np.zeros(J)
+    weight = np.zeros((J, J))
+    half = np.zeros((J, J))
     for i in range(len(means) - 1, -1, -1):
         _given_the_rest(means[i], covs[i], pull, weight, half, about[i], about_cov[i])
         # kept' = I - e0 gain': only the first row and column change
@@ -270,17 +288,20 @@ def _given_the_rest(
 @compiled
 def _back(pull: Array, weight: Array, row: Array, dt_s: float) -> None:
     """Adjoint of `_step`: transpose of its slope from the left, for the weight its slope from the right too."""
-    x, v = pull[0], pull[1]
+    x = pull[0]
+    v = pull[1]
     pull[0], pull[1] = x + row[0] * v, dt_s * x + row[1] * v
     pull[2] += row[2] * v
     pull[3] += row[3] * v
     for b in range(J):
-        x, v = weight[0, b], weight[1, b]
+        x = weight[0, b]
+        v = weight[1, b]
         weight[0, b], weight[1, b] = x + row[0] * v, dt_s * x + row[1] * v
         weight[2, b] += row[2] * v
         weight[3, b] += row[3] * v
     for a in range(J):
-        x, v = weight[a, 0], weight[a, 1]
+        x = weight[a, 0]
+        v = weight[a, 1]
         weight[a, 0], weight[a, 1] = x + row[0] * v, dt_s * x + row[1] * v
         weight[a, 2] += row[2] * v
         weight[a, 3] += row[3] * v

@@ -25,11 +25,14 @@ from hdt_core.estimation.problem import Array, Kernels
 def positions(thetas: Array, force_n: Array, dt_s: float, mass_kg: float) -> Array:
     """Positions (p, k) [m] of p oscillators with (damping [N s/m], stiffness [N/m]) in the rows of `thetas` (p,
     2)."""
-    n, k = len(thetas), force_n.size
+    n = len(thetas)
+    k = force_n.size
     out = np.zeros((k, n))
-    x, v = np.zeros(n), np.zeros(n)
+    x = np.zeros(n)
+    v = np.zeros(n)
     h = dt_s / mass_kg
-    keep, pull = 1.0 - h * thetas[:, 0], h * thetas[:, 1]
+    keep = 1.0 - h * thetas[:, 0]
+    pull = h * thetas[:, 1]
     for i in range(k - 1):
         force = force_n[i]
         for p in range(n):
@@ -43,13 +46,17 @@ def positions(thetas: Array, force_n: Array, dt_s: float, mass_kg: float) -> Arr
 @compiled
 def sums_of_squares(thetas: Array, force_n: Array, dt_s: float, mass_kg: float, measured_m: Array) -> Array:
     """Sums of squares (p,) [m2] of simulated minus measured positions (k,), missing values left out."""
-    n, k = len(thetas), force_n.size
+    n = len(thetas)
+    k = force_n.size
     total = np.zeros(n)
-    x, v = np.zeros(n), np.zeros(n)
+    x = np.zeros(n)
+    v = np.zeros(n)
     h = dt_s / mass_kg
-    keep, pull = 1.0 - h * thetas[:, 0], h * thetas[:, 1]
+    keep = 1.0 - h * thetas[:, 0]
+    pull = h * thetas[:, 1]
     for i in range(k):
-        force, position = force_n[i], measured_m[i]
+        force = force_n[i]
+        position = measured_m[i]
         there = 0.0 if np.isnan(position) else 1.0
         position = 0.0 if np.isnan(position) else position
         for p in range(n):
@@ -71,7 +78,8 @@ def slopes(theta: Array, force_n: Array, dt_s: float, mass_kg: float) -> Array:
     """
     out = np.zeros((force_n.size, 1, 2))
     h = dt_s / mass_kg
-    keep, pull = 1.0 - h * theta[0], h * theta[1]
+    keep = 1.0 - h * theta[0]
+    pull = h * theta[1]
     x = v = xk = vk = 0.0
     for i in range(force_n.size):
         out[i, 0, 0] = vk
@@ -90,14 +98,17 @@ def linearised(
     The velocity is eliminated, as in `euler_position_m`: a position then waits for one multiplication, not for two.
     """
     h = dt_s / mass_kg
-    once, twice, push = 2.0 - h * theta[0], 1.0 - h * theta[0] + h * dt_s * theta[1], h * dt_s
+    once = 2.0 - h * theta[0]
+    twice = 1.0 - h * theta[0] + h * dt_s * theta[1]
+    push = h * dt_s
     per_s = 1.0 / dt_s
     x = next_x = xk = next_xk = 0.0
     cost = cc = ck = kk = gc = gk = 0.0
     for i in range(force_n.size):
         position = measured_m[i]
         if not np.isnan(position):
-            error, vk = x - position, (next_xk - xk) * per_s
+            error = x - position
+            vk = (next_xk - xk) * per_s
             cost += error * error
             cc += vk * vk
             ck += vk * xk
@@ -118,14 +129,19 @@ def least_squares(
 ) -> tuple[Array, float, Array, Array, int]:  # fmt: skip
     """Levenberg and Marquardt as in `hdt_core.estimation.descent`: same steps, same stop; every trial brings its
     derivatives."""
-    theta, weight = origin.copy(), 1.0 / sigma_m**2
-    normal, gradient = np.zeros((2, 2)), np.zeros(2)
-    next_normal, next_gradient = np.zeros((2, 2)), np.zeros(2)
+    theta = origin.copy()
+    weight = 1.0 / sigma_m**2
+    normal = np.zeros((2, 2))
+    gradient = np.zeros(2)
+    next_normal = np.zeros((2, 2))
+    next_gradient = np.zeros(2)
     cost = _posterior(
         theta, force_n, dt_s, mass_kg, measured_m, weight, prior_mean, prior_information, normal, gradient
     )
     size = np.full(2, 1e-300)
-    damping, growth, n_evals = FIRST_DAMPING, 2.0, 1
+    damping = FIRST_DAMPING
+    growth = 2.0
+    n_evals = 1
     for _ in range(max_steps):
         for i in range(2):
             size[i] = max(size[i], np.sqrt(normal[i, i]))
@@ -141,7 +157,8 @@ def least_squares(
         won = cost - trial_cost
         damping, growth = next_damping(damping, growth, won, promised)
         if won > 0.0:
-            theta, cost = trial, trial_cost
+            theta = trial
+            cost = trial_cost
             normal, next_normal = next_normal, normal
             gradient, next_gradient = next_gradient, gradient
         if is_exhausted(promised, won, cost) or damping > MOST_DAMPING:
@@ -176,7 +193,8 @@ def oscillator_kernels(force_n: Array, measured_m: Array, sigma_m: float, dt_s: 
     """
     from hdt_benchmark.oscillator_kalman import kalman
 
-    force, measured = np.ascontiguousarray(force_n, float), np.ascontiguousarray(np.ravel(measured_m), float)
+    force = np.ascontiguousarray(force_n, float)
+    measured = np.ascontiguousarray(np.ravel(measured_m), float)
     n_values = max(int(np.count_nonzero(~np.isnan(measured))), 1)
     return Kernels(
         simulate=lambda thetas: positions(thetas, force, dt_s, mass_kg)[:, :, None],

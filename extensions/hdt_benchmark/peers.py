@@ -49,7 +49,8 @@ def fit_claim(rounds: int, records: int) -> Claim:
 
 def filter_claim(rounds: int, records: int) -> Claim:
     """Compare one pass of the extended Kalman filter over states and parameters, no smoother on either side."""
-    problems, ours = [oscillator_problem(seed) for seed in range(records)], ExtendedKalman(smoother_passes=0)
+    problems = [oscillator_problem(seed) for seed in range(records)]
+    ours = ExtendedKalman(smoother_passes=0)
     peer = "filterpy in a Python loop"
     return race(
         "EKF, one pass, 1,001 samples",
@@ -63,7 +64,8 @@ def conductance_claim(rounds: int, n: int = SAMPLES) -> Claim:
     """Compare UA of steady samples from flows and temperatures, as every night computes it: losses of 0 to 40 %."""
     rng = np.random.default_rng(1)
     flows = 0.9 * rng.lognormal(0.0, 0.06, n), 1.6 * rng.lognormal(0.0, 0.2, n)
-    hot_in_k, cold_in_k = 390.0 + 5.0 * rng.normal(size=n), 250.0 + 3.0 * rng.normal(size=n)
+    hot_in_k = 390.0 + 5.0 * rng.normal(size=n)
+    cold_in_k = 250.0 + 3.0 * rng.normal(size=n)
     hot_out_k = outlets_k(*flows, hot_in_k, cold_in_k, np.linspace(1500.0, 900.0, n))[0] + 0.5 * rng.normal(size=n)
     samples = np.array([*flows, hot_in_k, hot_out_k, cold_in_k])
     runs = {
@@ -82,10 +84,12 @@ def over(problems: list[Problem], fit: Fit) -> Candidate:
 
 
 def _scipy_fit(problem: Problem, method: str, tolerance: float = 1e-8) -> np.ndarray:
-    force, measured = force_n().tolist(), problem.measured[:, 0].tolist()
+    force = force_n().tolist()
+    measured = problem.measured[:, 0].tolist()
 
     def residual(theta: np.ndarray) -> np.ndarray:
-        damping, stiffness = float(theta[0]), float(theta[1])
+        damping = float(theta[0])
+        stiffness = float(theta[1])
         x = v = 0.0
         out = []
         for f, y in zip(force, measured, strict=True):
@@ -99,7 +103,8 @@ def _scipy_fit(problem: Problem, method: str, tolerance: float = 1e-8) -> np.nda
 
 
 def _filterpy(problem: Problem) -> np.ndarray:
-    force, measured = force_n(), problem.measured
+    force = force_n()
+    measured = problem.measured
     peer = ExtendedKalmanFilter(dim_x=4, dim_z=1)
     peer.x = np.concatenate([np.zeros(2), problem.prior.mean])
     peer.P = np.zeros((4, 4))

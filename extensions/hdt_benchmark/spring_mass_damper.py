@@ -65,7 +65,8 @@ def euler_position_m(
     >>> [round(float(x), 10) for x in euler_position_m(np.ones(4), 0.01, 0.5, 2.0)]
     [0.0, 0.0, 0.0001, 0.0002995]
     """
-    c, k = damping_n_s_m / mass_kg, stiffness_n_m / mass_kg
+    c = damping_n_s_m / mass_kg
+    k = stiffness_n_m / mass_kg
     recursion = [1.0, -(2.0 - c * dt_s), 1.0 - c * dt_s + k * dt_s**2]
     return np.asarray(lfilter([0.0, 0.0, dt_s**2 / mass_kg], recursion, force_n))
 
@@ -108,7 +109,8 @@ def true_position_m() -> Array:
 def oscillator_problem(seed: int, *, compiled: bool = True) -> Problem:
     """Build the problem of a record with the noise of `seed`; its kernels are compiled where numba is installed."""
     measured = true_position_m() + SIGMA_M * np.random.default_rng(seed).standard_normal(N_SAMPLES)
-    mass, quick = SPRING_MASS_DAMPER.nominal["mass_kg"], compiled and COMPILED
+    mass = SPRING_MASS_DAMPER.nominal["mass_kg"]
+    quick = compiled and COMPILED
     return declared_problem(
         SPRING_MASS_DAMPER,
         ("damping_n_s_m", "stiffness_n_m"),

@@ -73,7 +73,8 @@ class DifferentialEvolution:
 def evolve(problem: Problem, search: Search, method: str, *, polish: bool) -> Estimate:
     """Search the box of the free parameters; with `polish`, finish the fittest individual by least squares."""
     lower, upper = problem.search_box
-    free, theta = upper > lower, problem.origin.copy()
+    free = upper > lower
+    theta = problem.origin.copy()
     if not free.any():
         return settle(problem, theta, 0, method=method)
     theta[free], objective, n_evals, has_converged = search(problem, free, lower[free], upper[free])
@@ -158,7 +159,8 @@ class Genetic:
                 self.fitness = Fitness()
 
         limits = {"eta": CROWDING, "low": lower.tolist(), "up": upper.tolist()}
-        toolbox, n_evals = base.Toolbox(), 0
+        toolbox = base.Toolbox()
+        n_evals = 0
         toolbox.register("mate", tools.cxSimulatedBinaryBounded, **limits)
         toolbox.register("mutate", tools.mutPolynomialBounded, indpb=1.0 / lower.size, **limits)
         n = self.population * lower.size + (self.population * lower.size) % 2

@@ -60,7 +60,8 @@ def fading_estimate(
     passes : int
         At most, after the first.
     """
-    cost, n_passes = passes_cost(problem), 1
+    cost = passes_cost(problem)
+    n_passes = 1
     fields: dict[str, Any] = {"method": method}
     moving = is_moving(problem)
     try:
@@ -73,13 +74,16 @@ def fading_estimate(
                 n_passes += 1
                 later = _inside(problem, last)
                 still = (np.abs(later - at) <= STILL_SD * last.belief.sd + 1e-15).all()
-                at, reached = later, "converged" if still else "max_steps"
+                at = later
+                reached = "converged" if still else "max_steps"
                 if still or (last.faded and not own_objective):
                     break
     except (LostTrackError, np.linalg.LinAlgError):
         return diverged_estimate(problem, cost * n_passes, method)
     if last.faded and not own_objective:
-        last, reached, own_objective = first, "approximate", True
+        last = first
+        reached = "approximate"
+        own_objective = True
     fields |= {"path": first.path, "path_sd": first.path_sd, "own_objective": own_objective}
     fields["innovations"] = last.innovations if moving else None
     return report(problem, last.belief, reached, cost * n_passes, **fields)
@@ -102,10 +106,14 @@ def _inside(problem: Problem, result: _Pass) -> Array:
 
 def _pass(problem: Problem, factor: Factor, about: list[Belief] | None, centre: Array | None = None) -> _Pass:
     belief = honest = joint_belief(problem, centre)
-    bounds, ceiling = limits(problem), belief.cov.diagonal()[problem.start.mean.size :]
-    s, k = problem.start.mean.size, len(problem.measured)
-    path, path_sd = np.empty((k, belief.mean.size - s)), np.empty((k, belief.mean.size - s))
-    corrections, faded = [], False
+    bounds = limits(problem)
+    ceiling = belief.cov.diagonal()[problem.start.mean.size :]
+    s = problem.start.mean.size
+    k = len(problem.measured)
+    path = np.empty((k, belief.mean.size - s))
+    path_sd = np.empty((k, belief.mean.size - s))
+    corrections = []
+    faded = False
     for i in range(k):
         point = belief if about is None else about[i]
         model = tangent(partial(outputs, problem, i), point, *bounds)
@@ -121,7 +129,8 @@ def _pass(problem: Problem, factor: Factor, about: list[Belief] | None, centre: 
         path[i], path_sd[i] = belief.mean[s:], honest.sd[s:]
         if i + 1 < k:
             step = linearise_step(problem, tangent, belief if about is None else point, i)
-            honest, belief = predict_belief(honest, step), predict_belief(belief, step)
+            honest = predict_belief(honest, step)
+            belief = predict_belief(belief, step)
     end = Belief(path[-1].copy(), honest.cov[s:, s:])
     return _Pass(end, path, path_sd, standardise_innovations(problem, corrections), faded)
 
@@ -135,7 +144,8 @@ def _headroom(belief: Belief, ceiling: Array) -> float:
 
 def windowed_change(path: Array, sd: Array, window: int) -> tuple[Array, Array]:
     """Return mean and variance (k, n) of the last `window` rows of `path` (k, n) with sd (k, n)."""
-    means, variances = np.empty_like(path), np.empty_like(path)
+    means = np.empty_like(path)
+    variances = np.empty_like(path)
     for i in range(len(path)):
         recent = path[max(0, i + 1 - window) : i + 1]
         means[i], variances[i] = recent.mean(axis=0), recent.var(axis=0) + sd[i] ** 2

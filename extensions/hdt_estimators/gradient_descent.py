@@ -36,7 +36,9 @@ class GradientDescent:
         first = float(problem.objective(problem.origin[None])[0])
         if not np.isfinite(first):
             return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
-        at, history, step = quadratic_model(problem, problem.origin, 1), [first], 1.0
+        at = quadratic_model(problem, problem.origin, 1)
+        history = [first]
+        step = 1.0
         scale, lowest = _scale(at), at  # scaled once, at the start
         status: Status = "max_steps"
         for _ in range(self.max_steps):

@@ -62,22 +62,24 @@ class ParticleFilter:
         misfit = _misfit(problem, cloud)
         if misfit.max(axis=1).min() >= NO_ANSWER:
             return conclude(problem, cloud[0] * np.nan, "diverged", len(cloud), method=self.name)
-        path, path_sd = (
-            np.empty((len(problem.measured), cloud.shape[1])),
-            np.empty((len(problem.measured), cloud.shape[1])),
-        )
-        log_weight, accepted, n_evals = np.zeros(len(cloud)), 1.0, len(cloud)
+        path = np.empty((len(problem.measured), cloud.shape[1]))
+        path_sd = np.empty((len(problem.measured), cloud.shape[1]))
+        log_weight = np.zeros(len(cloud))
+        accepted = 1.0
+        n_evals = len(cloud)
         for i in range(len(problem.measured)):
             log_weight -= 0.5 * misfit[:, i]
             weight = _normalised(log_weight)
             if 1.0 / (weight @ weight) < 0.5 * len(cloud) or i + 1 == len(path):
                 spread = _spread(cloud, weight)
                 indices = _resample_indices(weight, rng)
-                cloud, misfit = cloud[indices], misfit[indices]
+                cloud = cloud[indices]
+                misfit = misfit[indices]
                 for _ in range(self.moves):
                     cloud, misfit, accepted = _move_particles(problem, cloud, misfit, spread, i=i, rng=rng)
                 n_evals += self.moves * len(cloud)
-                log_weight, weight = np.zeros(len(cloud)), np.full(len(cloud), 1.0 / len(cloud))
+                log_weight = np.zeros(len(cloud))
+                weight = np.full(len(cloud), 1.0 / len(cloud))
             path[i] = weight @ cloud
             path_sd[i] = np.sqrt(weight @ (cloud - path[i]) ** 2)
         cov = np.atleast_2d(np.cov(cloud.T)) if accepted > LEAST_ACCEPTED or not self.polish else None
@@ -89,8 +91,11 @@ class ParticleFilter:
         x = np.empty((len(cloud), 0))
         if problem.start.mean.size:
             x = rng.multivariate_normal(problem.start.mean, problem.start.cov, len(cloud))
-        k, n = len(problem.measured), cloud.shape[1]
-        path, path_sd, log_weight = np.empty((k, n)), np.empty((k, n)), np.zeros(len(cloud))
+        k = len(problem.measured)
+        n = cloud.shape[1]
+        path = np.empty((k, n))
+        path_sd = np.empty((k, n))
+        log_weight = np.zeros(len(cloud))
         for i in range(k):
             error = (np.asarray(problem.observe(x.T, cloud.T, i)).T - problem.measured[i]) / problem.sigma
             log_weight -= 0.5 * np.nansum(error**2, axis=1)

@@ -61,7 +61,8 @@ def fmu_model(
     check_losses(losses, params)
     points = _Points(FmuUnit(path, dict(variables or {})))
     own = [p for p in params if p.name not in losses]
-    unit, states = points.unit, points.unit.states()
+    unit = points.unit
+    states = points.unit.states()
     unit.check(inputs, ("input",))
     unit.check(own, ("parameter",))
     unit.check(outputs, ("output", "local"))
@@ -101,9 +102,11 @@ class _Points:
         """Return outputs, or rates where no output is named, broadcast over all arguments."""
         names = [n for n in at if n not in params]
         rows = np.broadcast_arrays(*(np.asarray(v, float) for v in (*(at[n] for n in (*params, *names)), *states)))
-        shape, points = rows[0].shape, np.stack([r.ravel() for r in rows], axis=1)
+        shape = rows[0].shape
+        points = np.stack([r.ravel() for r in rows], axis=1)
         results = np.full((len(points), len(states) if outputs is None else len(outputs)), np.nan)
-        first, last = len(params), len(params) + len(names)
+        first = len(params)
+        last = len(params) + len(names)
         of_params, of_inputs = ([self.unit.reference(n) for n in group] for group in (params, names))
         of_outputs = None if outputs is None else [self.unit.reference(n) for n in outputs]
         for row in np.flatnonzero(np.isfinite(points).all(axis=1)):

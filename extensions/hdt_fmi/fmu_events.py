@@ -83,14 +83,17 @@ class _Run:
     def __init__(self, unit: FmuUnit, params: list[int], outputs: list[str]) -> None:
         from fmpy.sundials import CVodeSolver  # with the extra `fmi` only
 
-        self.unit, self._params, self._solver_of = unit, params, CVodeSolver
+        self.unit = unit
+        self._params = params
+        self._solver_of = CVodeSolver
         self._outputs = [unit.variables[name] for name in outputs]
         self._refusal: Exception | None = None
 
     def evaluate(self, params: Sequence[Any], time_s: Any) -> tuple[Array, ...]:
         """Return outputs at every parameter set and instant, broadcast."""
         rows = np.broadcast_arrays(*(np.asarray(v, float) for v in (*params, time_s)))
-        shape, points = rows[0].shape, np.stack([r.ravel() for r in rows], axis=1)
+        shape = rows[0].shape
+        points = np.stack([r.ravel() for r in rows], axis=1)
         results = np.full((len(points), len(self._outputs)), np.nan)
         valid = np.flatnonzero(np.isfinite(points).all(axis=1) & (points[:, -1] >= 0.0))
         sets, member = np.unique(points[valid, :-1], axis=0, return_inverse=True)
@@ -124,7 +127,9 @@ class _Run:
         return float(get([variable.valueReference])[0])
 
     def _solver(self, end_s: float) -> Any:
-        fmu, description, self._refusal = self.unit.fmu, self.unit.description, None
+        fmu = self.unit.fmu
+        description = self.unit.description
+        self._refusal = None
         return self._solver_of(
             nx=description.numberOfContinuousStates,
             nz=description.numberOfEventIndicators,
@@ -156,8 +161,11 @@ class _Journey:
     """State of a running simulation: its time and its next time event."""
 
     def __init__(self, unit: FmuUnit, solver: Any, due_s: float) -> None:
-        self.unit, self._solver = unit, solver
-        self._now_s, self._due_s, self._events = 0.0, due_s, 0
+        self.unit = unit
+        self._solver = solver
+        self._now_s = 0.0
+        self._due_s = due_s
+        self._events = 0
 
     def reach(self, instant_s: float) -> bool:
         """Advance to an instant through all events; False where the run ended earlier."""
@@ -174,7 +182,8 @@ class _Journey:
     def _step(self, to_s: float) -> None:
         is_event, _, self._now_s = self._solver.step(self._now_s, to_s)
         self.unit.fmu.setTime(self._now_s)
-        needs_event, is_over = False, False
+        needs_event = False
+        is_over = False
         if self.unit.description.modelExchange.needsCompletedIntegratorStep:
             needs_event, is_over = self.unit.fmu.completedIntegratorStep()
         if is_over:

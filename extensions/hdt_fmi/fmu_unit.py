@@ -83,7 +83,8 @@ class FmuUnit:
         for item in declared:
             variable = fit.get(self.fmu_name(item.name))
             if variable is None:
-                kinds, has = " or ".join(causalities), ", ".join(sorted(fit))
+                kinds = " or ".join(causalities)
+                has = ", ".join(sorted(fit))
                 raise ValueError(f"{self.path}: {self.fmu_name(item.name)} is no {kinds}; it has {has}")
             if variable.unit is not None and variable.unit != item.unit:
                 raise ValueError(f"{self.path}: {item.name} is in {variable.unit}, declared in {item.unit}")

@@ -54,7 +54,8 @@ _BY_LABEL = {
 @app.command()
 def metrics(home: HomeDir = None, out_file: OutFile = None) -> None:
     """Write figures of the last night for Prometheus."""
-    library, registry = _library(), read_metrics(home_folder(home))
+    library = _library()
+    registry = read_metrics(home_folder(home))
     if out_file is None:
         out.print(library.generate_latest(registry).decode(), markup=False, soft_wrap=True, end="")
         return
@@ -76,7 +77,8 @@ def read_metrics(home: Path) -> Any:
     nights = Ledger(home, read_only=True).nights()
     if nights.is_empty():
         raise StopError(f"no night has ended in {home}; run `hdt nightly` first")
-    library, night = _library(), nights.row(-1, named=True)
+    library = _library()
+    night = nights.row(-1, named=True)
     registry = library.CollectorRegistry()
     gauge = partial(library.Gauge, registry=registry)
     began, ended = (datetime.fromisoformat(night[c]).astimezone(UTC).timestamp() for c in ("began_at", "ended_at"))

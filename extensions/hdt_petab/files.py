@@ -194,7 +194,8 @@ def _free(petab: Any) -> tuple[list[Param], Belief]:
     rows = table[table["estimate"] == 1]
     if (rows["parameterScale"] != "lin").any():
         raise ValueError("only linear parameter scales are read")
-    mean, sd = rows["nominalValue"].to_numpy(float).copy(), np.full(len(rows), np.inf)
+    mean = rows["nominalValue"].to_numpy(float).copy()
+    sd = np.full(len(rows), np.inf)
     for i, row in enumerate(rows.to_dict("records")):
         kind = row.get("objectivePriorType")
         if isinstance(kind, str) and kind:
@@ -218,7 +219,8 @@ def _model(petab: Any, free: Sequence[Param]) -> PhysicsModel:
     import sympy
     from petab.v1.math import sympify_petab
 
-    libsbml, sbml = _libsbml(), petab.model.sbml_model
+    libsbml = _libsbml()
+    sbml = petab.model.sbml_model
     if sbml.getNumReactions() or sbml.getNumSpecies():
         raise ValueError("reactions and species are not read, only parameters under rate rules")
     rules = {r.getVariable(): libsbml.formulaToL3String(r.getMath()) for r in sbml.getListOfRules() if r.isRate()}

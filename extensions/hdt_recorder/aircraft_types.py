@@ -145,7 +145,8 @@ class _Description:
 
     def read(self, map_folder: Path) -> AircraftType:
         self._check_keys(self.document, HEAD, "")
-        name, packs = self._text("type"), self._count(self.document, "packs", "", 2, MAX_PACKS)
+        name = self._text("type")
+        packs = self._count(self.document, "packs", "", 2, MAX_PACKS)
         parts = {PACK: self._table(PACK)} | self._table("component")
         units = {PACK: packs} | {c: self._count(t, "units", c, packs, MAX_PACKS) for c, t in parts.items() if c != PACK}
         every_s = {c: self._count(t, "every_s", c, 0, 3600, 0) for c, t in parts.items() if c != PACK}
@@ -191,7 +192,8 @@ class _Description:
         low, high, rate_hz = (self._number(table, key, entry, k) for k in ("lowest", "highest", "rate_hz"))
         if (low is not None and high is not None and low >= high) or (rate_hz is not None and rate_hz <= 0.0):
             raise self._wrong(table, key, "lowest is below highest, and rate_hz above 0")
-        unit, place = str(entry.get("unit", "")).lower(), self._place(table, key)
+        unit = str(entry.get("unit", "")).lower()
+        place = self._place(table, key)
         return Station(key, tuple(names), scale, offset, unit, low, high, rate_hz, place)
 
     def _conversion(self, table: str, key: str, unit: Any) -> tuple[float, float]:
@@ -255,8 +257,10 @@ class _Description:
 
     def _place(self, table: str, key: str) -> str:
         """Return file, line, table and key; the line is that of the key below its table's head."""
-        last, heads = key.rpartition(".")[2], (table, f"component.{table}")
-        within, line = not table, 0
+        last = key.rpartition(".")[2]
+        heads = (table, f"component.{table}")
+        within = not table
+        line = 0
         for number, content in enumerate(self.text.splitlines(), 1):
             if head := re.match(r"\s*\[+\s*([^\]]+?)\s*\]", content):
                 within = head[1] in heads or (not table and head[1] == key)

@@ -78,7 +78,8 @@ def checks(landing: Path) -> Iterator[tuple[str, bool, str]]:
             names_known = ", ".join(sorted(types.by_name)) or "none"
             yield f"type {name}", False, f"fleet.csv names it, nothing describes it; there are {names_known}"
             continue
-        wrong, rows = faults_of(kind), list(coverage_of(kind))
+        wrong = faults_of(kind)
+        rows = list(coverage_of(kind))
         lacks = ", ".join(f"{row[1]} (no {row[3]})" for row in rows if row[3]) or "nothing else"
         can = ", ".join(row[1] for row in rows if not row[3]) or "nothing"
         summary = f"{names.count(name)} aircraft; estimates {can}; can't estimate {lacks}"

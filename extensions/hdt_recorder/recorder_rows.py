@@ -41,7 +41,8 @@ def recorder_rows(file: LandingFile, table: str) -> tuple[pl.DataFrame, int, lis
         component as often as the type says. None where every value is missing.
     """
     types = types_of(Path(file.landing))
-    kind, why = types.of(file.operator, file.tail), types.fault_of(file.operator, file.tail)
+    kind = types.of(file.operator, file.tail)
+    why = types.fault_of(file.operator, file.tail)
     flight = file.flight
     if kind is None or why or flight is None or unpacked_bytes(Path(file.full_path)) > MOST_BYTES:
         return pl.DataFrame(), 0, [_fault_before_opening(why, flight)]
@@ -120,11 +121,13 @@ def _damage_faults(damage: Damage) -> list[Fault]:
 
 def _rows(kind: AircraftType, table: str, by_name: Mapping[str, Series]) -> tuple[pl.DataFrame, list[Fault]]:
     """Return a row per time and unit with at least one value, and faults for values outside the type's ranges."""
-    stations, faults = kind.stations[table], []
+    stations = kind.stations[table]
+    faults = []
     times = [by_name[n].t_s for s in stations for n in s.parameters if n in by_name and by_name[n].t_s.size]
     if not times:
         return pl.DataFrame(), []
-    first, last = min(t[0] for t in times), min(max(t[-1] for t in times), min(t[0] for t in times) + MOST_S)
+    first = min(t[0] for t in times)
+    last = min(max(t[-1] for t in times), min(t[0] for t in times) + MOST_S)
     every_s = kind.every_s[table] or max(1.0, np.ceil((last - first) / MOST_ROWS))
     t_s = np.arange(np.floor(first), np.floor(last) + 1.0, every_s)
     parts = []
@@ -184,7 +187,8 @@ def _nearest(series: Series, t_s: Floats) -> Floats:
     """Return the value of the sample nearest in time."""
     if series.value is None or not series.valid.any():
         return np.full(t_s.size, np.nan)
-    times, value = series.t_s[series.valid], series.value[series.valid]
+    times = series.t_s[series.valid]
+    value = series.value[series.valid]
     after = np.clip(np.searchsorted(times, t_s), 0, times.size - 1)
     before = np.clip(after - 1, 0, None)
     return np.asarray(value[np.where(t_s - times[before] <= times[after] - t_s, before, after)])

@@ -132,7 +132,9 @@ def write_decoded(
     with replacing(target) as temporary, pq.ParquetWriter(temporary, SCHEMA, **HOW) as writer:
         for series in decode(recording, parameters):
             tables.append(_table(series))
-            count, rows, nulls = count + 1, rows + series.t_s.size, nulls + int((~series.valid).sum())
+            count = count + 1
+            rows = rows + series.t_s.size
+            nulls = nulls + int((~series.valid).sum())
             if sum(t.num_rows for t in tables) >= ROWS_OF_A_GROUP:
                 writer.write_table(pa.concat_tables(tables).unify_dictionaries())
                 tables = []
@@ -142,7 +144,8 @@ def write_decoded(
 
 
 def _table(series: Series) -> pa.Table:
-    n, mask = series.t_s.size, ~series.valid
+    n = series.t_s.size
+    mask = ~series.valid
     name = pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), [series.parameter.name])
     value = pa.nulls(n, pa.float64()) if series.value is None else pa.array(series.value, mask=mask)
     text = pa.nulls(n, SCHEMA.field("text").type)

@@ -66,7 +66,8 @@ def install(landing: Path, suite: str, form: str) -> tuple[str, Writer]:
         `717` or `767`.
     """
     (file,) = (f for f in packaged_files() if read_type(f).name == NAMES[suite])
-    kind, text = read_type(file), file.read_text("utf-8")
+    kind = read_type(file)
+    text = file.read_text("utf-8")
     map_name = f"maps/{file.stem}_as_{form}.toml"
     description = text.replace(f'map = "{kind.map_file.name}"', f'map = "{map_name}"')
     places = _places(kind)
@@ -99,7 +100,8 @@ def _places(kind: AircraftType) -> dict[str, tuple[Station, int, int]]:
 
 def _values(packs: list[pl.DataFrame], station: Station, unit: int, units: int) -> Floats:
     """Return a parameter's values in the recorder's unit; units of a component are shared out among the packs."""
-    rows, column = packs[unit * len(packs) // units], station.column
+    rows = packs[unit * len(packs) // units]
+    column = station.column
     if column == "diffuser_pct":
         values = rows["vda_pos"].cast(pl.Float64).to_numpy() * (100.0 / FULL_COUNTS)
     elif column in NOT_SIMULATED:

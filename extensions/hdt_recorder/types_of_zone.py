@@ -46,7 +46,8 @@ class Types:
 
     def kinds(self, operator: str, tail: str, folder: str) -> tuple[str, KindOf]:
         """Return the hash of a folder's description, or empty, and the function from a file's name to its kind."""
-        kind, fault = self.of(operator, tail), self.fault_of(operator, tail)
+        kind = self.of(operator, tail)
+        fault = self.fault_of(operator, tail)
         other = {RECORDER: kind.map_file, REPORTS: kind.reports_file}.get(folder) if kind else None
         by = _hash_of(kind.file, other) if kind and other else ""
         return by, _kind_of_report if folder == REPORTS else partial(_kind_of_recording, kind, fault)
@@ -95,7 +96,8 @@ def types_of(landing: Path) -> Types:
 
 @lru_cache(maxsize=8)
 def _types(landing: str, moments: tuple[tuple[str, int], ...]) -> Types:
-    by_name, faults = {}, {}
+    by_name = {}
+    faults = {}
     for path, _ in moments:
         file = Path(path)
         if file.suffix != ".toml":

@@ -138,7 +138,8 @@ def _contents() -> Part:
 
 def _table(con: duckdb.DuckDBPyConnection, sql: str) -> Part:
     answer = con.sql(sql)
-    columns, rows = [c.replace("_", " ") for c in answer.columns], answer.fetchall()
+    columns = [c.replace("_", " ") for c in answer.columns]
+    rows = answer.fetchall()
     return table(columns, ([_format_value(v) for v in row] for row in rows))
 
 

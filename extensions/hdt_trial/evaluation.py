@@ -93,7 +93,8 @@ def evaluate_log(
     prognoses = judge_prognoses(log, judge)
     figures = {source: FigureBuilder(judge, score).alert_figures() for source, score in scores.items()}
     figures[OURS] += FigureBuilder(judge, scores[OURS]).prognosis_figures(prognoses)
-    least, own = declared.minimum.count, scores[OURS]
+    least = declared.minimum.count
+    own = scores[OURS]
     foretold = [e for e in own.events if e.verdict in ("hit", "too_late", "too_early") and e.sealed_at]
     after = suppress_small_counts({"n": sum(e.at <= e.sealed_at for e in foretold if e.sealed_at)}, least)["n"]
     return Evaluation(
@@ -132,7 +133,8 @@ def _agreement(ours: ScoredAlerts, theirs: ScoredAlerts) -> dict[str, int]:
 
 def _alerts_of_file(rule: Rule, outcomes: Outcomes, log: Sequence[LogEntry]) -> list[SealedAlert]:
     """Read a rule's alerts from its file, unsealed: each is dated by the last flight before it was raised."""
-    file, span = Path(str(rule.file)), sealed_span(log)
+    file = Path(str(rule.file))
+    span = sealed_span(log)
     try:
         table = pl.read_csv(file, try_parse_dates=True, schema_overrides={"tail": pl.String, "operator": pl.String})
         frame = as_alerts(table, f"{file}")
@@ -140,10 +142,13 @@ def _alerts_of_file(rule: Rule, outcomes: Outcomes, log: Sequence[LogEntry]) -> 
         raise TrialError(f"rule {rule.name}: {file} cannot be read: {str(error).splitlines()[0]}") from None
     alerts = []
     for row in frame.iter_rows(named=True):
-        place, raised_at = place_of(row), row["raised_at"]
-        times, began = outcomes.departed.get(place[:2], []), span.get(place[:2])
+        place = place_of(row)
+        raised_at = row["raised_at"]
+        times = outcomes.departed.get(place[:2], [])
+        began = span.get(place[:2])
         if began and raised_at <= began[1] and (k := bisect_right(times, raised_at)):
-            known_at, standing = times[k - 1], raised_at <= began[0]
+            known_at = times[k - 1]
+            standing = raised_at <= began[0]
             alerts.append(SealedAlert(rule.name, place, max(known_at, began[0]), raised_at, row["closed_at"], standing))
     return [a for a in alerts if not (a.closed_at and a.closed_at <= span[a.place[:2]][0])]
 

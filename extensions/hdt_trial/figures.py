@@ -74,7 +74,8 @@ def judge_alerts(
     believed : sequence of SealedAlert, optional
         Alerts that were not sealed; else those that the log holds.
     """
-    span, parts = sealed_span(log), judge.declared.components
+    span = sealed_span(log)
+    parts = judge.declared.components
     candidates = sealed_alerts(log, parts) if unsealed is None else [a for a in unsealed if a.place[3] in parts]
     alerts = [a for a in candidates if a.source == source and a.place[:2] in span]
     by_place = defaultdict(list)
@@ -108,7 +109,8 @@ class FigureBuilder:
         """False alarms, events foretold, lead, alerts that were right, cost."""
         new = [a for a in self.scores.alerts if not a.alert.standing]
         followed = [a for a in new if a.followed and a.verdict not in ("removed", "after_event")]
-        events, leads = self.scores.events, [e for e in self.scores.events if e.lead_flights]
+        events = self.scores.events
+        leads = [e for e in self.scores.events if e.lead_flights]
         by_event = [(a.alert.place[:2], a.verdict == "hit") for a in followed]
         by_any = [(a.alert.place[:2], a.verdict in ("hit", "answered")) for a in followed]
         return [
@@ -164,7 +166,8 @@ class FigureBuilder:
         return Figure(*entry, interval, flights, "flights")
 
     def _share(self, name: str, label: str, rows: Sequence[tuple[Tail, bool]], of: str) -> Figure:
-        tails, least = {tail for tail, _ in rows}, self.judge.declared.minimum.count
+        tails = {tail for tail, _ in rows}
+        least = self.judge.declared.minimum.count
         few = f"fewer than {least} {of}" * (len(rows) < least)
         if why := few or self._too_few(sum(self.scores.sealed.values()), len(tails)):
             return Figure(name, label, "%", None, None, of, why)
@@ -181,14 +184,17 @@ class FigureBuilder:
         few = f"fewer than {least} events" * (len(events) < least)
         if why := few or self._too_few(sum(self.scores.sealed.values()), len({e.place[:2] for e in events})):
             return Figure(name, label, "flights", None, None, "events", why)
-        leads, standing = [float(e.lead_flights or 0) for e in events], [e.standing for e in events]
+        leads = [float(e.lead_flights or 0) for e in events]
+        standing = [e.standing for e in events]
         interval = intervals.point(leads, standing, level, self.judge.declared.confidence)
         why = "" if interval else "most alerts stood when the trial began"
         return Figure(name, label, "flights", interval, len(events), "events", why)
 
     def _costs(self, followed: Iterable[JudgedAlert]) -> list[Figure]:
         """Sum money by aircraft: saved over sealed flights, spent over those also followed."""
-        cost, saved, spent = self.judge.declared.cost, defaultdict[Tail, float](float), defaultdict[Tail, float](float)
+        cost = self.judge.declared.cost
+        saved = defaultdict[Tail, float](float)
+        spent = defaultdict[Tail, float](float)
         for event in self.scores.events:
             saved[event.place[:2]] += (cost.unscheduled_event - cost.scheduled_removal) * (event.verdict == "hit")
         by = {"false_alarm": cost.false_alarm, "too_early": cost.too_early}
@@ -201,9 +207,11 @@ class FigureBuilder:
 
     def _cost(self, name: str, label: str, sums: Mapping[Tail, float], over: Mapping[Tail, int]) -> Figure:
         """Money per 1,000 flights, an aircraft a cluster."""
-        unit, least = f"{self.judge.declared.cost.currency} per 1,000 flights", self.judge.declared.minimum.count
+        unit = f"{self.judge.declared.cost.currency} per 1,000 flights"
+        least = self.judge.declared.minimum.count
         exposure = {tail: n for tail, n in over.items() if n}
-        flights, affected = sum(exposure.values()), sum(v > 0.0 for v in sums.values())
+        flights = sum(exposure.values())
+        affected = sum(v > 0.0 for v in sums.values())
         few = f"rests on fewer than {least} aircraft" if 0 < affected < least else ""
         if why := self._too_few(flights, len(exposure)) or few:
             return Figure(name, label, unit, None, None, "flights", why)

@@ -45,7 +45,8 @@ def changes(before: dict[str, Any], now: dict[str, Any], where: str = "") -> lis
     """List the differences, one line each."""
     lines = []
     for name in sorted({*before, *now}):
-        a, b = before.get(name), now.get(name)
+        a = before.get(name)
+        b = now.get(name)
         if isinstance(a, dict) and isinstance(b, dict):
             lines += changes(a, b, f"{where}{name} ")
         elif a != b:

@@ -37,8 +37,11 @@ def rate(counts: ArrayLike, exposure: ArrayLike, confidence: float) -> Interval:
     >>> found.value, found.low, round(found.high * 300, 3)
     (0.0, 0.0, 3.689)
     """
-    y, x = np.asarray(counts, dtype=float), np.asarray(exposure, dtype=float)
-    total, over, tail = float(y.sum()), float(x.sum()), (1.0 - confidence) / 2.0
+    y = np.asarray(counts, dtype=float)
+    x = np.asarray(exposure, dtype=float)
+    total = float(y.sum())
+    over = float(x.sum())
+    tail = (1.0 - confidence) / 2.0
     effect = _design_effect(y, x, total)
     n = total / effect
     low = 0.5 * float(stats.chi2.ppf(tail, 2.0 * n)) if n else 0.0
@@ -55,10 +58,13 @@ def share(hits: ArrayLike, trials: ArrayLike, confidence: float) -> Interval:
     >>> found.value, round(found.low, 3), found.high
     (1.0, 0.398, 1.0)
     """
-    y, n = np.asarray(hits, dtype=float), np.asarray(trials, dtype=float)
-    p, alpha = y.sum() / n.sum(), 1.0 - confidence
+    y = np.asarray(hits, dtype=float)
+    n = np.asarray(trials, dtype=float)
+    p = y.sum() / n.sum()
+    alpha = 1.0 - confidence
     effect = _design_effect(y, n, n.sum() * p * (1.0 - p))
-    k, m = y.sum() / effect, n.sum() / effect
+    k = y.sum() / effect
+    m = n.sum() / effect
     low = float(stats.beta.ppf(alpha / 2.0, k, m - k + 1.0)) if k > 0.0 else 0.0
     high = float(stats.beta.ppf(1.0 - alpha / 2.0, k + 1.0, m - k)) if k < m else 1.0
     return Interval(float(p), low, high)
@@ -80,7 +86,8 @@ def point(values: ArrayLike, at_least: ArrayLike, level: float, confidence: floa
 
 def ratio(sums: ArrayLike, exposure: ArrayLike, confidence: float) -> Interval:
     """A sum, such as of money, over exposure; by how it scatters from cluster to cluster (Student's t)."""
-    y, x = np.asarray(sums, dtype=float), np.asarray(exposure, dtype=float)
+    y = np.asarray(sums, dtype=float)
+    x = np.asarray(exposure, dtype=float)
     value = y.sum() / x.sum()
     if y.size < 2:
         return Interval(float(value), None, None)

@@ -86,7 +86,9 @@ class Judge:
 
     def alert(self, alert: SealedAlert) -> JudgedAlert:
         """Score an alert."""
-        d, place, tail = self.declared, alert.place, alert.place[:2]
+        d = self.declared
+        place = alert.place
+        tail = alert.place[:2]
         followed = self.flown(tail, alert.known_at) >= d.early_flights
         removed = _next(self.outcomes.removals, place, alert.known_at)
         if self.event_of_unit(place, alert.known_at) is not None:
@@ -136,7 +138,8 @@ class Judge:
 
     def prognosis(self, row: dict[str, Any]) -> JudgedPrognosis | None:
         """Score a prognosis; None where its outcome is not known yet."""
-        place, departed_at = place_of(row), datetime.fromisoformat(row["departed_at"])
+        place = place_of(row)
+        departed_at = datetime.fromisoformat(row["departed_at"])
         if row["rul_low"] is None or self.event_of_unit(place, departed_at):
             return None
         removed = _next(self.outcomes.removals, place, departed_at)
@@ -170,7 +173,8 @@ def sealed_alerts(log: Sequence[LogEntry], components: Sequence[str]) -> list[Se
         flown = {(f["operator"], f["tail"]): f["until"] for f in entry.body.get("flown", [])}
         for source, rows in entry.body.get("alerts", {}).items():
             for row in (r for r in rows if r["component"] in components):
-                name, at = (source, row["alert_id"]), flown.get((row["operator"], row["tail"]), row["raised_at"])
+                name = (source, row["alert_id"])
+                at = flown.get((row["operator"], row["tail"]), row["raised_at"])
                 first.setdefault(name, (row, entry, datetime.fromisoformat(at)))
                 closed[name] = row["closed_at"]
     return [
@@ -186,7 +190,8 @@ def sealed_span(log: Sequence[LogEntry]) -> dict[Tail, tuple[datetime, datetime]
     span: dict[Tail, tuple[datetime, datetime]] = {}
     for entry in log:
         for f in entry.body.get("flown", []):
-            tail, until = (f["operator"], f["tail"]), datetime.fromisoformat(f["until"])
+            tail = (f["operator"], f["tail"])
+            until = datetime.fromisoformat(f["until"])
             span[tail] = (span.get(tail, (until, until))[0], until)
     return span
 

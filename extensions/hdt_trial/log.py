@@ -81,7 +81,10 @@ def faults(folder: Path, digests: Iterable[str] = (), head: str | None = None, *
     spare : int
         Entries allowed without a line in `heads.txt`: a kill between the two writes leaves one.
     """
-    files, previous, before, chain = _files(folder), NOTHING, None, []
+    files = _files(folder)
+    previous = NOTHING
+    before = None
+    chain = []
     if not files:
         yield f"no entry in {folder}"
     for number, file in enumerate(files):
@@ -98,7 +101,8 @@ def faults(folder: Path, digests: Iterable[str] = (), head: str | None = None, *
             return
         if before and entry.sealed_at < before:
             yield f"entry {number} is older than the one before it"
-        previous, before = entry.digest, entry.sealed_at
+        previous = entry.digest
+        before = entry.sealed_at
         chain.append(entry.digest)
     yield from _of_heads(folder / HEADS, chain, spare)
     if head and chain[-1] != head.lower():

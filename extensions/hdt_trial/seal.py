@@ -66,7 +66,8 @@ def seal_night(home: Path, now: datetime | None = None) -> LogEntry | None:
     TrialError
         The log was altered, or a rule of the operator fails.
     """
-    folder, now = log_folder(home), now or datetime.now(UTC)
+    folder = log_folder(home)
+    now = now or datetime.now(UTC)
     if not folder.is_dir():
         return None
     log = entries(folder)
@@ -112,9 +113,11 @@ def _collect_changes(
     """Collect what changed since the last entry: flights on record, alerts by source, prognoses."""
     sources = {OURS: con.sql(_ALERTS).pl()}
     sources |= {rule.name: _by_rule(con, rule) for rule in declared.rules if rule.sql}
-    new, withdrawn = {}, {}
+    new = {}
+    withdrawn = {}
     for source, frame in sources.items():
-        before, now = alerts.get(source, {}), {row["alert_id"]: row for row in _rows(frame)}
+        before = alerts.get(source, {})
+        now = {row["alert_id"]: row for row in _rows(frame)}
         new[source] = [row for name, row in now.items() if before.get(name) != row]
         withdrawn[source] = sorted(set(before) - set(now))
     outlook = [row for row in _rows(con.sql(_PROGNOSES).pl()) if prognoses.get(place_of(row)) != row]

@@ -238,7 +238,8 @@ def raise_component_alerts(
     own = features.filter(pl.col("component") == component.code)
     if own.is_empty():
         return pl.DataFrame(schema=SCHEMA)
-    grid, diagnosis = Grid.from_frame(own), diagnosis_of(component, limits)
+    grid = Grid.from_frame(own)
+    diagnosis = diagnosis_of(component, limits)
     cases = _wear_cases(grid, maintenance, component, limits)
     cases = close_after_work(grid, maintenance, cases, [diagnosis])
     return alert_rows(grid, maintenance, cases, {diagnosis.code: diagnosis})
@@ -247,7 +248,8 @@ def raise_component_alerts(
 def _wear_cases(grid: Grid, maintenance: pl.DataFrame, component: Component, limits: Limits) -> list[Case]:
     """Find losses above their limit with enough probability on most recent flights, until long below it."""
     restart = grid.worked_on(maintenance, (component.code,), component.ended_by)
-    loss, sd = grid.values("loss"), grid.values("loss_sd")
+    loss = grid.values("loss")
+    sd = grid.values("loss_sd")
     sure = grid.as_observed(odds_above(loss, sd, component.warn_loss) > limits.fouling_odds, "loss", restart)
     keep = np.nan_to_num(loss) > limits.fouling_keep * component.warn_loss
     on = persistent(sure, *limits.wear_persistence, keep=keep, restart=restart)

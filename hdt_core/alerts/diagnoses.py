@@ -211,7 +211,8 @@ def _close(
             case.closed_flight, case.closed_reason = int(later[0]), reason
         moment = moments.get(case.unit)
         if moment is not None and (case.ended_at is None or moment < case.ended_at):
-            case.ended_at, case.ended_reason = moment, reason
+            case.ended_at = moment
+            case.ended_reason = reason
 
 
 def _moments_after_last_flight(

@@ -41,7 +41,8 @@ def door_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits) -> list[Ca
     and on target below it, on one flight beyond doubt or on two at the same opening.
     """
     restart = grid.worked_on(maintenance, ("RAM_DOOR",), REPAIR)
-    jam, peg = _jams(grid, limits), _pegs(grid, limits)
+    jam = _jams(grid, limits)
+    peg = _pegs(grid, limits)
     is_jammed = persistent(jam, *limits.jam_persistence, restart=restart)
     sure = peg & (grid.values("door_peg_excess_k") > SURE_PEG_K) & (grid.values("door_peg_n") >= SURE_PEG_SAMPLES)
     short_travel = _same_stop(grid.values("door_max"), peg & ~jam, sure & ~jam, restart) & ~is_jammed
@@ -90,7 +91,8 @@ def _same_stop(widest: Array, peg: Array, sure: Array, restart: Array) -> Array:
         stop: float | None = None
         for k in range(peg.shape[1]):
             if restart[unit, k] or (stop is not None and widest[unit, k] > stop + 2.0 * SAME_STOP):
-                hits, stop = [], None
+                hits = []
+                stop = None
             if peg[unit, k]:
                 opening = float(widest[unit, k])
                 hits = [hit for hit in hits if k - hit[0] <= STOP_MEMORY]
@@ -157,10 +159,12 @@ def outlet_doubtful(grid: Grid) -> Array:
 
 def _unusable(grid: Grid, limits: Limits) -> dict[str, Array]:
     """Flag, by sensor, flights on which a once usable sensor is empty too often or frozen. (units, flights) bool"""
-    running, n_snapshots = grid.flags("running"), grid.values("n_snapshots")
+    running = grid.flags("running")
+    n_snapshots = grid.values("n_snapshots")
     unusable = {}
     for sensor in SIGNALS:
-        lost_share, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
+        lost_share = grid.values(f"{sensor}_lost_share")
+        still = grid.flags(f"{sensor}_still")
         usable_before = np.cumsum(np.nan_to_num(lost_share, nan=1.0) < 0.5, axis=1) >= LEAST_USABLE_FLIGHTS
         empty = usable_before & (lost_share > limits.lost_share) & (lost_share * n_snapshots >= LEAST_EMPTY_READINGS)
         unusable[sensor] = running & (empty | still)
@@ -169,7 +173,8 @@ def _unusable(grid: Grid, limits: Limits) -> dict[str, Array]:
 
 def _dropout_cases(grid: Grid, sensor: str, unusable: Array, restart: Array, limits: Limits) -> Iterator[Case]:
     """Yield the cases of a sensor that is frozen or empty in many of its readings."""
-    lost_share, still = grid.values(f"{sensor}_lost_share"), grid.flags(f"{sensor}_still")
+    lost_share = grid.values(f"{sensor}_lost_share")
+    still = grid.flags(f"{sensor}_still")
     keep = lost_share > limits.lost_share / 3.0
     active = persistent(unusable, *limits.dropout_persistence, keep=keep, restart=restart)
     for unit, first, end in runs(active, restart):
@@ -193,7 +198,8 @@ def _shift_cases(
 ) -> list[Case]:
     """Find drifts and steps: a cross check leaves its unit's own level, and the signatures isolate the sensor."""
     door_faulty, door_stuck = doors
-    running, restart = grid.flags("running"), grid.worked_on(maintenance, ("SENSOR",), REPAIR)
+    running = grid.flags("running")
+    restart = grid.worked_on(maintenance, ("SENSOR",), REPAIR)
     values = np.stack([np.where(running, grid.values(f"w_{c.name}"), np.nan) for c in CHANNELS], axis=2)
     # the remaining values of an unusable sensor are no evidence against others
     for k, check in enumerate(CHANNELS):
@@ -245,7 +251,8 @@ def _merge_cases(cases: list[Case], evidence: Indications) -> list[Case]:
     """
     distinct: list[Case] = []
     for case in sorted(cases, key=lambda c: (c.raised_flight, -c.facts["p"])):
-        sensor, other = case.facts["sensor"], int(evidence.partner[case.unit])
+        sensor = case.facts["sensor"]
+        other = int(evidence.partner[case.unit])
         on_pack = [c for c in distinct if c.unit == case.unit]
         same = [
             c

@@ -141,7 +141,8 @@ def trend(slope: float) -> list[str]:
 
 def exchanger(facts: Facts, since: str, clean_flow: str = NEUTRAL) -> Evidence:
     """Return the evidence of fouling; `clean_flow`: the role of a ram flow that is not reduced."""
-    loss, sd = facts["hx_fouling"], facts["hx_fouling_sd"]
+    loss = facts["hx_fouling"]
+    sd = facts["hx_fouling_sd"]
     findings = [loss_finding(phrases.UA_LOST, loss, sd, WEAR_LIMIT, since)]
     findings += trend(facts["hx_fouling_slope_30_per_flight"])
     if facts["gained"] > loss + 2.0 * sd:
@@ -185,7 +186,8 @@ def _full_open(facts: Facts) -> Corroboration:
 
 def _beside(facts: Facts) -> tuple[Corroboration, ...]:
     """Compare both packs: the door of that which lost more stands wider; a loss of both may have a common cause."""
-    wider, more = facts["door_median_between_packs"], facts["hx_fouling_between_packs"]
+    wider = facts["door_median_between_packs"]
+    more = facts["hx_fouling_between_packs"]
     doors = graded(
         wider,
         (DOOR_DIFFERENCE, SUPPORTS, phrases.DOOR_WIDER),
@@ -224,11 +226,14 @@ def _kelvin(margin_k: float) -> str:
 
 def compressor(facts: Facts, since: str) -> Evidence:
     """Return the evidence of wear: efficiency where the exit temperature is recorded, else effective diameter."""
-    loss, sd, change = facts["cc_efficiency_loss"], facts["cc_efficiency_loss_sd"], facts["shrunk"]
+    loss = facts["cc_efficiency_loss"]
+    sd = facts["cc_efficiency_loss_sd"]
+    change = facts["shrunk"]
     if not math.isnan(loss):
         finding = loss_finding(phrases.COMPRESSOR, loss, sd, WEAR_LIMIT, since, digits=1)
         return Evidence(finding, _diameter(facts), phrases.COMPRESSOR_ELSE, phrases.COMPRESSOR_COSTS)
-    smaller, sigma = f"{-100 * change:.1f}", f"{-change / DIAMETER_SD:.1f}"
+    smaller = f"{-100 * change:.1f}"
+    sigma = f"{-change / DIAMETER_SD:.1f}"
     finding = phrases.SMALLER_DIAMETER.format(share=smaller, sigma=sigma, since=since)
     corroboration = Corroboration(NEUTRAL, phrases.NO_EFFICIENCY)
     return Evidence(finding, (corroboration, *_reserve(facts)), phrases.SMALLER_DIAMETER_ELSE, phrases.COMPRESSOR_COSTS)
@@ -236,7 +241,8 @@ def compressor(facts: Facts, since: str) -> Evidence:
 
 def _diameter(facts: Facts) -> tuple[Corroboration, ...]:
     """Report the effective diameter, which shrinks by half of the efficiency loss: equation (5) takes its root."""
-    loss, efficiency = facts["cc_diameter_loss"], facts["cc_efficiency_loss"]
+    loss = facts["cc_diameter_loss"]
+    efficiency = facts["cc_efficiency_loss"]
     if math.isnan(loss):
         return ()
     role = SUPPORTS if loss > 0.25 * efficiency else NEUTRAL if loss > -DIAMETER_SD else AGAINST
@@ -245,7 +251,8 @@ def _diameter(facts: Facts) -> tuple[Corroboration, ...]:
 
 def _reserve(facts: Facts) -> tuple[Corroboration, ...]:
     """Report by how much the effective diameter may shrink before the required flow is no longer delivered."""
-    reserve, hot_high = facts["cc_diameter_left"], facts["cc_diameter_left_hot_high"]
+    reserve = facts["cc_diameter_left"]
+    hot_high = facts["cc_diameter_left_hot_high"]
     if math.isnan(reserve):
         return ()
     return graded(reserve, (0.0, NEUTRAL, phrases.DIAMETER_LEFT), (-math.inf, SUPPORTS, phrases.TOO_SMALL)) + graded(
@@ -309,8 +316,11 @@ def _amount(check: str, shift: float) -> str:
 
 def declared_loss(component: Component, limits: Limits, facts: Facts, since: str) -> Evidence:
     """Return the evidence of a declared component's wear, with the texts of the component's declaration."""
-    loss, sd, slope = facts["loss"], facts["loss_sd"], facts["loss_slope_30_per_flight"]
-    lost, name = component.lost, component.loss
+    loss = facts["loss"]
+    sd = facts["loss_sd"]
+    slope = facts["loss_slope_30_per_flight"]
+    lost = component.lost
+    name = component.loss
     finding = loss_finding(phrases.UNIT_LOST, loss, sd, component.warn_loss, since, lost=lost, name=name)
     fails = phrases.UNIT_FAILS.format(loss=within(component.limit.mean, component.limit.unit_sd))
     near = Corroboration(SUPPORTS if loss > HIGH_SEVERITY_SHARE * component.limit.mean else NEUTRAL, fails)

@@ -134,7 +134,9 @@ class Signatures(NamedTuple):
 @cache
 def signatures() -> Signatures:
     """Build all hypotheses and their signatures."""
-    names, shifts, blurs = [], [], []
+    names = []
+    shifts = []
+    blurs = []
     checks = (*CHANNELS, HX_STEP)
     between = np.array([c.between for c in checks])
     for sensor, size in SIZES.items():
@@ -151,7 +153,8 @@ def signatures() -> Signatures:
     shifts.append(np.zeros_like(shifts[0]))
     blurs.append(np.zeros_like(shifts[0]))
     usual = np.log([_odds(sensor, whose) for sensor, whose in names])
-    shift, blur = np.array(shifts), np.array(blurs)
+    shift = np.array(shifts)
+    blur = np.array(blurs)
     which, channel = np.nonzero((shift != 0.0) | (blur != 0.0))
     wander = np.tile([c.wander for c in checks], 2)
     return Signatures(tuple(names), shift, blur, usual, (which, channel), wander)

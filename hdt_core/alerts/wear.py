@@ -44,7 +44,9 @@ def hx_cases(
     (`visit_planned`), a second case of the same exchanger waits until its wear is beyond doubt.
     """
     restart = grid.worked_on(maintenance, ("HX",), HX.ended_by)
-    loss, sd, step = grid.values("hx_fouling"), grid.values("hx_fouling_sd"), grid.values("hx_fouling_step_3")
+    loss = grid.values("hx_fouling")
+    sd = grid.values("hx_fouling_sd")
+    step = grid.values("hx_fouling_step_3")
     is_settled = (since(restart) > SETTLED_FLIGHTS) & ~(step < -limits.clog)
     reliable = is_settled & (~lingering(doubtful, FAULT_ECHO) | (loss > limits.fouling + FAULT_ALLOWANCE))
     gain = loss_rise(np.where(lingering(doubtful, FAULT_ECHO), np.nan, grid.values("hx_fouling_flight")), restart)
@@ -119,8 +121,10 @@ def loss_rise(flight_loss: Array, restart: Array) -> Array:
     array
         (units, flights); NaN before ten flights of the unit.
     """
-    out, n_units = np.full(flight_loss.shape, np.nan), flight_loss.shape[0]
-    window, lowest = np.full((n_units, BLOCK_FLIGHTS), np.nan), np.full(n_units, np.inf)
+    out = np.full(flight_loss.shape, np.nan)
+    n_units = flight_loss.shape[0]
+    window = np.full((n_units, BLOCK_FLIGHTS), np.nan)
+    lowest = np.full(n_units, np.inf)
     for k in range(flight_loss.shape[1]):
         window[restart[:, k]], lowest[restart[:, k]] = np.nan, np.inf
         is_new = np.isfinite(flight_loss[:, k])
@@ -152,7 +156,8 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
     no case. `doubtful` (units, flights): a door or the outlet is in doubt.
     """
     restart = grid.worked_on(maintenance, ("HX",), HX.ended_by)
-    soon, loss = np.nan_to_num(grid.values("hx_passage_300")), grid.values("hx_fouling")
+    soon = np.nan_to_num(grid.values("hx_passage_300"))
+    loss = grid.values("hx_fouling")
     sure = (soon > limits.passage) & (since(restart) > MARGIN_SETTLED_FLIGHTS) & ~doubtful
     sure = grid.as_observed(sure, "hx_fouling", restart)
     low = persistent(
@@ -188,7 +193,8 @@ def cc_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doubtful: Ar
     `doubtful` (units, flights): a sensor of the pack is at fault.
     """
     restart = grid.worked_on(maintenance, ("CC",), CC.ended_by)
-    loss, sd = grid.values("cc_efficiency_loss"), grid.values("cc_efficiency_loss_sd")
+    loss = grid.values("cc_efficiency_loss")
+    sd = grid.values("cc_efficiency_loss_sd")
     sure = (
         (odds_above(loss, sd, limits.compressor) > limits.compressor_odds)
         & (loss > limits.compressor_excess * limits.compressor)

@@ -106,7 +106,8 @@ def fleet_levels(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm
     lives = flights.with_columns(life).with_columns(pl.col("life").cum_sum().over(PACK))
     new_levels = first_levels(lives.filter(pl.col("life") > 0), [*PACK, "life"])
     all_levels = pl.concat([levels, new_levels], how="diagonal")
-    value, error = all_levels["ln_ua_ratio"].to_numpy(), 1.25 * scatter / np.sqrt(all_levels["n"].to_numpy())
+    value = all_levels["ln_ua_ratio"].to_numpy()
+    error = 1.25 * scatter / np.sqrt(all_levels["n"].to_numpy())
     is_new = np.asarray(np.arange(all_levels.height) >= levels.height)
     level, level_sd, offset_sd = _clean_units(value, error**2, is_new)
     clean = flights.filter(ratio > level - CLEAN_BAND)["ua_expected_w_k"]
@@ -202,7 +203,8 @@ def audit_drift(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm)
 def _audit_unit(keys: dict[str, object], ratio: np.ndarray, clean_level: float) -> dict[str, object]:
     slope = theilslopes(ratio, alpha=0.6827)
     sd = 0.5 * (slope.high_slope - slope.low_slope)
-    first, last = float(np.median(ratio[:FIRST_FLIGHTS])), float(np.median(ratio[-FIRST_FLIGHTS:]))
+    first = float(np.median(ratio[:FIRST_FLIGHTS]))
+    last = float(np.median(ratio[-FIRST_FLIGHTS:]))
     return keys | {
         "n_flights": len(ratio),
         "anchor": first - clean_level,

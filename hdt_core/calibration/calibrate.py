@@ -171,13 +171,15 @@ def exchanger_levels(twin_flights: pl.DataFrame, dsm: Dsm) -> tuple[PooledLevel,
     packs = first_levels(twin_flights.drop_nulls("ln_ua_ratio").sort(IN_ORDER))
     if not packs.height:
         return ()
-    ratio, error = packs["ln_ua_ratio"].to_numpy(), dsm.flight_sd * median_error(packs["n"].to_numpy())
+    ratio = packs["ln_ua_ratio"].to_numpy()
+    error = dsm.flight_sd * median_error(packs["n"].to_numpy())
     posterior = entry_posterior(ratio, error**2, dsm.clean_level, dsm.offset_sd)
     levels = packs.with_columns(
         value=pl.Series(ratio + posterior.wear), error_sd=pl.Series(np.sqrt(error**2 + posterior.wear_var))
     )
     i = hx.NAMES.index("ln_ua_reference")
-    ln_ua, ln_sd = dsm.exchanger[i], float(np.sqrt(dsm.exchanger_cov[i][i]))
+    ln_ua = dsm.exchanger[i]
+    ln_sd = float(np.sqrt(dsm.exchanger_cov[i][i]))
     ln_levels = levels_of(levels, "hx_ua_reference_w_k")[1]
     ua = [float(np.exp(ln_ua + v.value)) for v in ln_levels]
     return tuple(replace(v, value=u, sd=u * float(np.hypot(v.sd, ln_sd))) for v, u in zip(ln_levels, ua, strict=True))

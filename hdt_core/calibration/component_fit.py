@@ -104,7 +104,8 @@ def calibrate_with_sensors(
     ValueError
         As of `calibrate_component`.
     """
-    model, method = with_sensor_errors(model), estimator or NonlinearLeastSquares()
+    model = with_sensor_errors(model)
+    method = estimator or NonlinearLeastSquares()
     free = [p.name for p in model.free("design")]
     problem = samples_problem(samples, model, free, recorded_outputs(model, samples), partial_prior(model, free))
     estimate = method.estimate(problem)
@@ -145,7 +146,8 @@ def sigma_with_flights(problem: Problem, theta: Array, samples: pl.DataFrame) ->
     names = [f"residual_{j}" for j in range(len(problem.sigma))]
     rows = samples.select(FLIGHT_PACK).with_columns(pl.Series(n, r) for n, r in zip(names, residual.T, strict=True))
     flights = rows.group_by(FLIGHT_PACK, maintain_order=True)
-    means, within = flights.agg(pl.col(names).mean()), flights.agg(pl.col(names).var())
+    means = flights.agg(pl.col(names).mean())
+    within = flights.agg(pl.col(names).var())
     if means.height < MIN_FLIGHTS:
         return problem.sigma
     n_samples = samples.height / means.height

@@ -78,14 +78,17 @@ class Line:
 
 def fit_line(rows: BlockRows) -> Line:
     """Fit the shared line, its slope corrected for the attenuation by noise in the positions."""
-    centre, size = float(rows.x.mean()), float(np.median(rows.y))
+    centre = float(rows.x.mean())
+    size = float(np.median(rows.y))
     estimate, of_block = PanelLeastSquares().estimate(line_panel(rows, centre, size))
-    level, steepness = size * of_block[:, 0], float(estimate.belief.mean[0]) / COUNTS
+    level = size * of_block[:, 0]
+    steepness = float(estimate.belief.mean[0]) / COUNTS
     residual = rows.y - level[rows.block] * (1.0 + steepness * (rows.x - centre))
     weight = huber_weights(np.abs(residual), spread(residual))
     deviation = rows.x - group_means(rows.x[:, None], rows.block, np.ones(len(weight)))[0][rows.block, 0]
     reliable = reliable_share(deviation)
-    slope, slope_sd = steepness * float(level.mean()), _clustered_sd(deviation, residual, rows.flight, weight)
+    slope = steepness * float(level.mean())
+    slope_sd = _clustered_sd(deviation, residual, rows.flight, weight)
     return Line(slope / reliable, slope_sd / reliable, level, centre, residual)
 
 
@@ -96,7 +99,9 @@ def reliable_share(deviation: Array) -> float:
 
 def line_panel(rows: BlockRows, centre: float, size: float) -> Panel:
     """Declare the panel of blocks, their levels over `size`, that share a steepness: wear scales the slope too."""
-    x, y, ones = (rows.x - centre) / COUNTS, rows.y / size, np.ones((len(rows.blocks), 1))
+    x = (rows.x - centre) / COUNTS
+    y = rows.y / size
+    ones = np.ones((len(rows.blocks), 1))
     return Panel(
         names=("steepness",), bounds=np.array([[-np.inf, np.inf]]), prior=unknown(np.zeros(1)), step=np.full(1, STEP),
         unit_mean=ones, unit_sd=LEVEL_SD * ones, unit_step=np.full(1, STEP), unit=rows.block, time=rows.block,
@@ -150,7 +155,8 @@ def compare_forms(rows: BlockRows) -> tuple[FormFit, ...]:
     rng = np.random.default_rng(0)
     picks = rng.multinomial(n_flights, np.full(n_flights, 1.0 / n_flights), RESAMPLES).astype(float)
     picks = picks[picks.any(axis=1)]  # of two flights a resample may hold none
-    scores, aics = [], []
+    scores = []
+    aics = []
     for form, degree in FORMS.items():
         basis = np.stack([z**k for k in range(1, degree + 1)], axis=1) if degree else np.zeros((len(z), 0))
         prediction = np.full(len(z), np.nan)

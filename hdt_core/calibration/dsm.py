@@ -228,7 +228,8 @@ def _inlet_rows(dsm: Dsm) -> list[tuple[Any, ...]]:
     """Build rows of inlet area, eye diameter and blade angle with their prior: the group determines none of them."""
     c = dsm.compressor
     inlet = inlet_geometry(c.group_m3, c.group_sd_m3)
-    angle, angle_sd = np.rad2deg(BLADE_ANGLE_RAD), np.rad2deg(BLADE_ANGLE_SD_RAD)
+    angle = np.rad2deg(BLADE_ANGLE_RAD)
+    angle_sd = np.rad2deg(BLADE_ANGLE_SD_RAD)
     condition = f"given a blade angle of {angle:.0f} ± {angle_sd:.0f} degrees and a hub of {HUB_RATIO:g} eye diameters"
     units = {"cc_inlet_area_m2": "m2", "cc_eye_diameter_m": "m", "cc_blade_angle_rad": "rad"}
     return [
@@ -270,7 +271,8 @@ def flow_elasticities(design: Array, hot_flow_kg_s: float, ram_flow_kg_s: float)
 
 def _with_slopes(design: Array, flows_kg_s: tuple[float, float]) -> tuple[Array, Array]:
     """Compute elasticities and their derivatives by the design vector, (2,) and (2, p)."""
-    values, step = flow_elasticities(design, *flows_kg_s), np.full(design.size, hx.STEP)
+    values = flow_elasticities(design, *flows_kg_s)
+    step = np.full(design.size, hx.STEP)
     return values, forward_differences(lambda d: flow_elasticities(d, *flows_kg_s), design, values, step)
 
 

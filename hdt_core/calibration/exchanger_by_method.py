@@ -87,7 +87,8 @@ def _outlet_per_ln_conductance(model: PhysicsModel, inputs: dict[str, Array], lo
 
 def _prior(panel: Panel, fit: PanelFit) -> Belief:
     """Join the declared prior with the panel's terms on the design alone, linear about its end."""
-    prior, design = panel.prior, fit.estimate.belief.mean
+    prior = panel.prior
+    design = fit.estimate.belief.mean
     terms = panel.prior_terms(design)
     slope = forward_differences(panel.prior_terms, design, terms, panel.step, panel.bounds[:, 1])
     cov = np.asarray(np.linalg.inv(prior.information + slope.T @ slope), float)

@@ -218,7 +218,8 @@ def _locate(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:
     )
     count = keys["n"].to_numpy().astype(float)
     group = np.repeat(np.arange(keys.height), keys["n"].to_numpy())
-    value, centre = values[column].to_numpy(), keys["start"].to_numpy().astype(float)
+    value = values[column].to_numpy()
+    centre = keys["start"].to_numpy().astype(float)
     deviations = (
         pl.DataFrame({"g": group, "a": np.abs(value - centre[group])})
         .group_by("g", maintain_order=True)
@@ -234,5 +235,6 @@ def _locate(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:
         observe=lambda _x, theta, i: theta / sample_scale[i],
     )  # fmt: skip
     location, cov = gauss_newton(problem, centre[:, None], ROBUST_STEPS, lambda r: huber_weights(np.abs(r), 1.0))
-    centre, error = location[:, 0], np.sqrt(cov[:, 0, 0])
+    centre = location[:, 0]
+    error = np.sqrt(cov[:, 0, 0])
     return keys.select(*FLIGHT_PACK, pl.Series(name, centre), pl.Series(f"{name}_sd", error), "n")

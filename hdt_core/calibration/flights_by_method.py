@@ -118,7 +118,8 @@ def _losses(samples: pl.DataFrame, model: PhysicsModel, loss: str, output: str, 
     """Estimate a loss flight by flight from one output; null where the method gives none, and `failure` says why."""
     wide = replace(model.param(loss), bounds=(LEAST_LOSS, model.param(loss).bounds[1]))
     params = tuple(wide if p.name == loss else p for p in model.params)
-    method, sd = declared_estimator(part), f"{loss}_sd"
+    method = declared_estimator(part)
+    sd = f"{loss}_sd"
     flights = flight_by_flight(
         samples, replace(model, params=params), [loss], outputs=[output], estimator=method, min_samples=1
     )

@@ -44,7 +44,8 @@ def learn_inlet(cruise: pl.DataFrame, design: Array, bias: Array) -> tuple[float
     Medians of shorter stretches than a pack's whole baseline would leave so little movement of door and discharge
     that the noise of their sensors bends the slopes towards zero.
     """
-    x, y = _terms(cruise, design, bias), cruise["hx_in_k"].to_numpy().astype(float)
+    x = _terms(cruise, design, bias)
+    y = cruise["hx_in_k"].to_numpy().astype(float)
     free = cruise["ram_door_open"].is_between(*DOOR_FREE).fill_null(False).to_numpy()
     usable = np.isfinite(x).all(axis=1) & np.isfinite(y) & free
     if usable.sum() < FEWEST:
@@ -52,7 +53,8 @@ def learn_inlet(cruise: pl.DataFrame, design: Array, bias: Array) -> tuple[float
     columns = pl.concat([cruise.select(PACK), pl.DataFrame(np.column_stack([x, y]))], how="horizontal")
     values = pl.exclude(PACK)
     deviations = columns.filter(pl.Series(usable)).select(values - values.median().over(PACK)).to_numpy()
-    x, y = deviations[:, :-1], deviations[:, -1]
+    x = deviations[:, :-1]
+    y = deviations[:, -1]
     scale = np.maximum(x.std(axis=0), 1e-9)
     ridge = RIDGE * len(y) * np.eye(len(scale))
     return tuple(map(float, huber_slopes(x / scale, y, ridge, HUBER_STEPS) / scale))
@@ -92,7 +94,9 @@ def full_open_inlet_k(
     inlet_k = rows["hx_in_k"].to_numpy().astype(float)
     if not slopes:
         return inlet_k
-    signals, discharge_k, inlet_bias = _signals(rows, bias), _discharge_k(rows), bias[hx.BIASES.index("hx_in_k")]
+    signals = _signals(rows, bias)
+    discharge_k = _discharge_k(rows)
+    inlet_bias = bias[hx.BIASES.index("hx_in_k")]
     full = signals | {"ram_door_open": np.ones_like(inlet_k)}
     with np.errstate(all="ignore"):
         ram, full_ram = (clean_ram_flow_kg_s(of, design) for of in (signals, full))
@@ -125,7 +129,8 @@ def _ram_outlet_k(signals: dict[str, Array], ram: Array) -> Array:
 
 def _by_stream(discharge_k: Array, ram_outlet_k: Array, ram: Array, signals: dict[str, Array]) -> Array:
     with np.errstate(all="ignore"):
-        ln_ram, ln_flow = np.log(ram), np.log(signals["pack_flow_kg_s"])
+        ln_ram = np.log(ram)
+        ln_flow = np.log(signals["pack_flow_kg_s"])
     apart_k = discharge_k - ram_outlet_k
     terms = np.column_stack([discharge_k, ram_outlet_k, ln_ram, ln_flow, apart_k * ln_ram, apart_k * ln_flow])
     return np.where(np.isfinite(terms), terms, np.nan)

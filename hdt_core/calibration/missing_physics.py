@@ -113,13 +113,15 @@ def _flight_steps(twin_flights: pl.DataFrame, dsm: Dsm) -> _FlightSteps:
     offset = rows["ln_ua_ratio"].cast(pl.Float64).to_numpy() - ratio
     pack = rows.select(pl.struct(PACK).rank("dense")).to_series().to_numpy().astype(int)
     change = (np.diff(pack) == 0) & np.isfinite(np.diff(offset))
-    tails, n = rows["tail_index"].rank("dense").to_numpy().astype(int), rows.height
+    tails = rows["tail_index"].rank("dense").to_numpy().astype(int)
+    n = rows.height
     fold = tails % FOLDS if len(np.unique(tails)) > 2 else np.arange(n) * FOLDS // max(n, 1)
     return _FlightSteps(signals, dsm.bias_of(rows), offset, change, fold[1:][change])
 
 
 def _evidence(steps: _FlightSteps, dsm: Dsm, name: str) -> tuple[object, ...]:
-    fit, n = _fit(steps, dsm, (name,)), len(steps.fold)
+    fit = _fit(steps, dsm, (name,))
+    n = len(steps.fold)
     f = float((fit.terms[name] / fit.sd[0]) ** 2)
     in_service = steps.residual({}, dsm.design)
     limit = OUTLIER_SDS * spread(in_service)
@@ -146,10 +148,13 @@ def _left_out(steps: _FlightSteps, dsm: Dsm, name: str) -> Array:
 
 def _fit(steps: _FlightSteps, dsm: Dsm, names: tuple[str, ...], among: Array | None = None) -> _Fit:
     """Fit terms and design together by Gauss-Newton on instrumental variables (two-stage least squares)."""
-    terms, design, sd = dict.fromkeys(names, 0.0), dsm.design, np.zeros(len(names))
+    terms = dict.fromkeys(names, 0.0)
+    design = dsm.design
+    sd = np.zeros(len(names))
     instruments = np.diff(instruments_of(steps.signals), axis=0)[steps.change]
     for _ in range(REFITS):
-        columns, residual = _columns(steps, terms, design), steps.residual(terms, design)
+        columns = _columns(steps, terms, design)
+        residual = steps.residual(terms, design)
         usable = np.isfinite(np.c_[columns, residual]).all(axis=1) & (True if among is None else among)
         step, sd = _step(columns[usable], residual[usable], instruments[usable], design)
         terms = {name: within(name, terms[name] + float(move)) for name, move in zip(names, step, strict=False)}
@@ -159,7 +164,8 @@ def _fit(steps: _FlightSteps, dsm: Dsm, names: tuple[str, ...], among: Array | N
 
 def _columns(steps: _FlightSteps, terms: dict[str, float], design: Array) -> Array:
     """Compute negative derivatives of the residual by each term and design value. (changes, terms + design)"""
-    signals, ratio = correct_signals(steps.signals, terms), steps.ratio(terms, design)
+    signals = correct_signals(steps.signals, terms)
+    ratio = steps.ratio(terms, design)
     by_term = [steps.ratio(terms | {name: value + STEP}, design) - ratio for name, value in terms.items()]
     by_design = hx.design_gradient(signals, design, steps.bias, ratio)
     derivatives = np.c_[np.reshape(by_term, (len(terms), len(ratio))).T / STEP, by_design]
@@ -170,8 +176,10 @@ def _step(columns: Array, residual: Array, instruments: Array, design: Array) ->
     """Solve Huber's regression, with the design's prior and none for the terms (first): step and sd of each."""
     predictors = instruments @ np.linalg.lstsq(instruments, columns, rcond=None)[0]
     free = columns.shape[1] - len(design)
-    prior, offset = np.r_[np.zeros(free), hx.SD**-2.0], np.r_[np.zeros(free), hx.MEAN - design]
-    weight, scale = np.ones(len(residual)), spread(residual)
+    prior = np.r_[np.zeros(free), hx.SD**-2.0]
+    offset = np.r_[np.zeros(free), hx.MEAN - design]
+    weight = np.ones(len(residual))
+    scale = spread(residual)
     for _ in range(ROBUST_STEPS):
         information = (predictors * weight[:, None] / (scale**2 * DESIGN_EFFECT)).T
         cov = np.linalg.pinv(information @ predictors + np.diag(prior), hermitian=True)

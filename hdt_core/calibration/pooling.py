@@ -105,7 +105,9 @@ def _posterior(
     value: Array, error_sd: Array, operator: Array, *, is_known: Array, tau_operator: float, tau_pack: float
 ) -> tuple[float, Array, Array]:
     """Compute log evidence, means and variances of (fleet, operators, packs) for given sds, in closed form."""
-    y, variance, group = value[is_known], error_sd[is_known] ** 2 + tau_pack**2, operator[is_known]
+    y = value[is_known]
+    variance = error_sd[is_known] ** 2 + tau_pack**2
+    group = operator[is_known]
     n = int(operator.max()) + 1
     weight = np.bincount(group, 1.0 / variance, n)
     with np.errstate(divide="ignore", invalid="ignore"):

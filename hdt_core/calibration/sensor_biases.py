@@ -40,7 +40,8 @@ def sensor_prior(cruise: pl.DataFrame, packs: pl.DataFrame) -> tuple[Array, Arra
     """
     mean = np.zeros((packs.height, len(hx.BIASES)))
     sd = np.tile(hx.BIAS_SDS, (packs.height, 1))
-    flow, tat = hx.BIASES.index("pack_flow_kg_s"), hx.BIASES.index("tat_k")
+    flow = hx.BIASES.index("pack_flow_kg_s")
+    tat = hx.BIASES.index("tat_k")
     medians = cruise.group_by(PACK).agg(
         (pl.col("pack_flow_kg_s") / pl.col("cc_flow_kg_s")).log().median().alias("ln_flows"),
         (pl.col("tat_k") - pl.col("cc_in_k")).median().alias("apart_k"),

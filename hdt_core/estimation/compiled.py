@@ -46,7 +46,8 @@ class _Compiled:
     def machine_code(self) -> Any:
         from numba import njit  # noqa: PLC0415 (see above)
 
-        names, space = self.py_func.__code__.co_names, self.py_func.__globals__
+        names = self.py_func.__code__.co_names
+        space = self.py_func.__globals__
         callees = {n: space[n].machine_code for n in names if isinstance(space.get(n), _Compiled)}
         return njit(cache=True, fastmath={"contract"})(linked(self.py_func, **callees))
 
@@ -150,7 +151,9 @@ def inverse_spd(information: Array) -> tuple[Array, float]:  # noqa: PLR0912 (co
     itself; where it is not positive the inverse is void.
     """
     n = len(information)
-    root, inverse, size = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    root = np.zeros((n, n))
+    inverse = np.zeros((n, n))
+    size = np.zeros(n)
     determinant = 1.0
     for i in range(n):
         if not information[i, i] > 0.0:
@@ -187,7 +190,8 @@ def assess_optimum(normal: Array, gradient: Array, theta: Array, bounds: Array) 
     """Compute the inverse of `normal` (n, n) and its scaled determinant, the distance to the optimum in standard
     deviations (Newton's decrement), and whether no parameter rests on a bound."""
     inverse, determinant = inverse_spd(normal)
-    square, is_inside = 0.0, determinant > 0.0
+    square = 0.0
+    is_inside = determinant > 0.0
     for i in range(theta.size):
         margin = AT_BOUND_SD * np.sqrt(inverse[i, i])
         is_inside = is_inside and bounds[i, 0] + margin < theta[i] < bounds[i, 1] - margin

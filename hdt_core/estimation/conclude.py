@@ -51,7 +51,8 @@ def settle(
     point = descend(problem, np.clip(theta, *problem.bounds.T), n_evals=n_evals)
     fields["method"] = f"{fields.get('method', '')}, finished by least squares"
     if cov is not None:
-        change, sd = np.abs(point.theta - theta), np.sqrt(np.maximum(np.diag(cov), 0.0))
+        change = np.abs(point.theta - theta)
+        sd = np.sqrt(np.maximum(np.diag(cov), 0.0))
         cov = cov if (change <= sd).all() else None
     return conclude_at(problem, point, cov=cov, **fields)
 
@@ -65,7 +66,8 @@ def conclude_at(problem: Problem, point: Point, **fields: Any) -> Estimate:
 
 def conclude_each(problem: Problem, points: Sequence[Point], **fields: Any) -> list[Estimate]:
     """Turn the ends of a batch's descents into estimates."""
-    singles, tests = [problem.single(b) for b in range(len(points))], dict[int, OptimumTest]()
+    singles = [problem.single(b) for b in range(len(points))]
+    tests = dict[int, OptimumTest]()
     finite = [b for b, point in enumerate(points) if point.objective < np.inf]
     if finite:
         ends = [points[b] for b in finite]
@@ -122,7 +124,8 @@ def conclude(
     prior = problem.prior.information
     data = Identifiability(problem.names, point.normal - prior)
     local, determinant, distance, is_inside = assess_optimum(point.normal, point.gradient, theta, problem.bounds)
-    is_inside, is_finite = is_inside and determinant > SAFE, True
+    is_inside = is_inside and determinant > SAFE
+    is_finite = True
     if not is_inside:
         local, is_finite = covariance_of_free(problem.bounds, point.normal)
         distance = distance_to_optimum(point, problem.bounds)
@@ -208,7 +211,8 @@ def _check_ranges(problem: Problem, cov: Array, variance: float, passes: int = 0
 
     In plain floats: every fit runs this, and NumPy on two numbers takes a tenth of the oscillator's time.
     """
-    prior_var, var = problem.prior.cov.diagonal().tolist(), cov.diagonal().tolist()
+    prior_var = problem.prior.cov.diagonal().tolist()
+    var = cov.diagonal().tolist()
     weak = tuple(
         name
         for name, (low, high), prior_v, v in zip(problem.names, problem.bounds.tolist(), prior_var, var, strict=True)

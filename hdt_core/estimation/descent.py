@@ -62,7 +62,8 @@ def linearise(problem: Problem, theta: Array, weigh: Weigh | None = None) -> tup
     at = theta[0] if problem.group is None else theta
     residual, slope = problem.linearised(at)
     slope = slope.reshape(*residual.shape, theta.shape[1])
-    deviation, information = theta - problem.prior.mean, problem.prior.information
+    deviation = theta - problem.prior.mean
+    information = problem.prior.information
     with np.errstate(over="ignore", invalid="ignore"):
         weighted = slope if weigh is None else weigh(residual)[..., None] * slope
         cost = problem.sum_each(np.einsum("km,km->k", residual, residual))
@@ -109,11 +110,13 @@ class _Walk:
 
     def judge(self, objective: float) -> None:
         """Compare the trial's objective with the point's, and update the damping."""
-        reduction, before = self.point.objective - objective, self.point.objective
+        reduction = self.point.objective - objective
+        before = self.point.objective
         self.point = replace(self.point, n_evals=self.point.n_evals + 1)
         self.damping, self.growth = next_damping(self.damping, self.growth, reduction, self.predicted_reduction)
         is_over = is_exhausted(self.predicted_reduction, reduction, before) or self.damping > MOST_DAMPING
-        self.is_better, self.goes_on = reduction > 0.0, not is_over
+        self.is_better = reduction > 0.0
+        self.goes_on = not is_over
 
 
 def descend(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int = 0) -> Point:
@@ -135,7 +138,8 @@ def descend_from_start(problem: Problem, max_steps: int = 200) -> Point:
 
 def descend_each(problem: Problem, origin: Array, max_steps: int = 200, n_evals: int = 0) -> list[Point]:
     """Minimise the objective of each problem of a batch, side by side, from its row of `origin` (b, n)."""
-    n, nothing = origin.shape[1], np.full((origin.shape[1],) * 2, np.nan)
+    n = origin.shape[1]
+    nothing = np.full((origin.shape[1],) * 2, np.nan)
     n_values = problem.sum_each(np.count_nonzero(~np.isnan(problem.measured), axis=1)).tolist()
     walks = [
         _Walk(b, Point(theta, np.inf, nothing[0], nothing, n_evals), n_values[b], np.full(n, TINY), theta)
@@ -198,12 +202,14 @@ def distance_to_optimum(point: Point, bounds: Array) -> float:
     .. [1] S. Boyd and L. Vandenberghe, Convex Optimization, 2004, section 9.5.
     """
     lower, upper = bounds.T
-    at_lower, at_upper = point.theta <= lower, point.theta >= upper
+    at_lower = point.theta <= lower
+    at_upper = point.theta >= upper
     is_held = (at_lower & (point.gradient >= 0.0)) | (at_upper & (point.gradient <= 0.0))
     free = (lower < upper) & ~is_held
     if not free.any():
         return 0.0
-    gradient, normal = point.gradient[free], point.normal[np.ix_(free, free)]
+    gradient = point.gradient[free]
+    normal = point.normal[np.ix_(free, free)]
     if not (np.isfinite(gradient).all() and np.isfinite(normal).all()):
         return float("inf")
     size, values, vectors, observable = scaled_eigen(normal)

@@ -88,7 +88,8 @@ class Estimate:
     @cached_property
     def fit(self) -> Fit:
         """Residuals and statistics of the record at the estimate, computed on first use."""
-        problem, n = self.problem, self.belief.mean.size
+        problem = self.problem
+        n = self.belief.mean.size
         if problem is None:
             raise ValueError("an estimate without its problem has no residuals")
         if self.innovations is not None:
@@ -105,7 +106,8 @@ class Estimate:
         problem = self.problem
         if problem is None or problem.half_steps is None or self.status == "diverged":
             return None
-        coarse, theta = replace(problem, kernels=None, trajectory=None), self.belief.mean
+        coarse = replace(problem, kernels=None, trajectory=None)
+        theta = self.belief.mean
         change = replace(coarse, transition=problem.half_steps).residual(theta) - coarse.residual(theta)
         slope = problem.sensitivity(theta)
         cov, _ = covariance_of_free(problem.bounds, slope.T @ slope + problem.prior.information)
@@ -115,7 +117,8 @@ class Estimate:
     def summary(self) -> str:
         """Format a report with the entries of lmfit's: status, statistics, parameters with three kinds of standard
         deviation, correlations."""
-        fit, problem = self.fit, self.problem
+        fit = self.fit
+        problem = self.problem
         lines = [
             "[[Fit]]",
             f"    method               = {self.method or '-'}",
@@ -177,7 +180,8 @@ def estimate_each(method: Estimator, problem: Problem) -> list[Estimate]:
     together: Callable[[Problem], list[Estimate]] | None = getattr(method, "estimate_each", None)
     if together is not None:
         return together(problem)
-    prior, estimates = problem.prior, list[Estimate]()
+    prior = problem.prior
+    estimates = list[Estimate]()
     for b in range(problem.n_problems):
         estimates.append(method.estimate(problem.single(b).with_prior(prior)))
         if estimates[-1].status == "converged":
@@ -190,12 +194,14 @@ def _parameters(estimate: Estimate, starts: np.ndarray) -> list[str]:
     """Format each parameter with its standard deviations and profile interval."""
     is_filter = estimate.innovations is not None
     n = estimate.belief.mean.size
-    fit, none = estimate.fit, np.full(n, np.nan)
+    fit = estimate.fit
+    none = np.full(n, np.nan)
     scaled_sd, sandwich_sd = (none, none) if is_filter else (fit.scaled_sd, fit.sandwich_sd)
     width = max((len(name) for name in estimate.identifiability.names), default=0)
     lines = []
     for i, name in enumerate(estimate.identifiability.names):
-        mean, sd = float(estimate.belief.mean[i]), float(estimate.belief.sd[i])
+        mean = float(estimate.belief.mean[i])
+        sd = float(estimate.belief.sd[i])
         share = f" ({100.0 * sd / abs(mean):.2f} %)" if mean and np.isfinite(sd) else ""
         lines.append(
             f"    {name:<{width}}  {mean:.8g} +/- {sd:.4g}{share}, scaled {scaled_sd[i]:.4g}, "
@@ -208,7 +214,8 @@ def _parameters(estimate: Estimate, starts: np.ndarray) -> list[str]:
 
 
 def _correlations(estimate: Estimate) -> list[str]:
-    names, cov = estimate.identifiability.names, estimate.belief.cov
+    names = estimate.identifiability.names
+    cov = estimate.belief.cov
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = cov / np.outer(estimate.belief.sd, estimate.belief.sd)
     pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(correlation[i, j]) >= LEAST_CORRELATION]

@@ -117,7 +117,8 @@ def covariance_of_free(bounds: Array, total: Array) -> tuple[Array, bool]:
     free = bounds[:, 0] < bounds[:, 1]
     if free.all():
         return invert_information(total)
-    cov, rows = np.zeros_like(total), np.ix_(free, free)
+    cov = np.zeros_like(total)
+    rows = np.ix_(free, free)
     cov[rows], is_finite = invert_information(total[rows]) if free.any() else (0.0, True)
     return cov, is_finite
 
@@ -191,7 +192,8 @@ class Fit:
     @property
     def serial_correlation(self) -> float:
         """Correlation of a residual with the next of its output, in standard deviations of pure noise's."""
-        first, second = self.residuals[:-1], self.residuals[1:]
+        first = self.residuals[:-1]
+        second = self.residuals[1:]
         pairs = ~np.isnan(first) & ~np.isnan(second)
         power = float(np.nanmean(self.residuals**2)) if self.n_values else 0.0
         if not 0.0 < power < np.inf or not pairs.any():

@@ -58,8 +58,10 @@ def forward(
     lower, upper = limits(problem)
     belief = joint_belief(problem, centre)
     k = len(problem.measured)
-    means, covs = np.empty((k, belief.mean.size)), np.empty((k, belief.mean.size, belief.mean.size))
-    slopes, corrections = [], []
+    means = np.empty((k, belief.mean.size))
+    covs = np.empty((k, belief.mean.size, belief.mean.size))
+    slopes = []
+    corrections = []
     for i in range(k):
         point = belief if about is None else about[i]
         model = linearise(partial(outputs, problem, i), point, lower, upper)
@@ -77,17 +79,20 @@ def forward(
 def smooth(filtered: FilterPass) -> list[Belief]:
     """Compute beliefs given the whole record, by Bryson and Frazier's adjoint, which inverts no covariance."""
     k, j = filtered.means.shape
-    pull, weight = np.zeros(j), np.zeros((j, j))
+    pull = np.zeros(j)
+    weight = np.zeros((j, j))
     beliefs: list[Belief] = [Belief(filtered.means[-1], filtered.covs[-1])] * k
     for i in range(k - 1, -1, -1):
-        mean, cov = filtered.means[i], filtered.covs[i]
+        mean = filtered.means[i]
+        cov = filtered.covs[i]
         beliefs[i] = Belief(mean - cov @ pull, cov - cov @ weight @ cov)
         c = filtered.corrections[i]
         complement = np.eye(j) - c.gain @ c.slope
         pull = complement.T @ pull - c.slope.T @ c.precision @ c.innovation
         weight = complement.T @ weight @ complement + c.slope.T @ c.precision @ c.slope
         if i > 0:
-            pull, weight = filtered.slopes[i - 1].T @ pull, filtered.slopes[i - 1].T @ weight @ filtered.slopes[i - 1]
+            pull = filtered.slopes[i - 1].T @ pull
+            weight = filtered.slopes[i - 1].T @ weight @ filtered.slopes[i - 1]
     return beliefs
 
 
@@ -136,7 +141,8 @@ def _iterate(problem: Problem, linearise: Linearise, first: FilterPass, passes: 
     """Filter again until the estimate settles; return the last pass, its status and the number of passes."""
     if is_moving(problem):
         return _iterate_moving(problem, linearise, first, passes)
-    last, at = first, _point(problem, first)
+    last = first
+    at = _point(problem, first)
     for n_passes in range(1, passes + 1):
         about = smooth(last) if linearise is not tangent else trajectory(problem, at)
         last = forward(problem, linearise, about, at)
@@ -232,7 +238,8 @@ def report(
     """Finish a recursion: project on the bounds, compute information and status."""
     if not (np.isfinite(belief.mean).all() and np.isfinite(belief.cov).all()):
         return diverged_estimate(problem, n_evals, fields["method"])
-    theta, own_objective = project_on_bounds(belief, *problem.bounds.T), own_objective or innovations is not None
+    theta = project_on_bounds(belief, *problem.bounds.T)
+    own_objective = own_objective or innovations is not None
     cov = belief.cov if own_objective or has_learned(problem, belief) else None
     fields |= {"path": np.clip(path, *problem.bounds.T), "innovations": innovations, "cov": cov}
     if own_objective:

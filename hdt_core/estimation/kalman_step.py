@@ -73,7 +73,8 @@ def joint_belief(problem: Problem, centre: Array | None = None) -> Belief:
     a parameter starts from `centre` (n,), where given: from its last estimate, so that passes end on the optimum of
     the data alone and not on one drawn towards the start.
     """
-    s, n = problem.start.mean.size, problem.prior.mean.size
+    s = problem.start.mean.size
+    n = problem.prior.mean.size
     cov = np.zeros((s + n, s + n))
     cov[:s, :s] = problem.start.cov
     width = problem.bounds[:, 1] - problem.bounds[:, 0]
@@ -97,10 +98,14 @@ def innovate(belief: Belief, model: Affine, measured: Array, sigma: Array) -> Co
     """
     if not (np.isfinite(model.slope).all() and np.isfinite(model.offset).all()):
         raise LostTrackError
-    slope, noise, error = model.slope, model.spread + np.diag(sigma**2), measured - model.offset
+    slope = model.slope
+    noise = model.spread + np.diag(sigma**2)
+    error = measured - model.offset
     is_recorded = ~np.isnan(measured)
     if not is_recorded.all():
-        slope, noise, error = slope[is_recorded], noise[np.ix_(is_recorded, is_recorded)], error[is_recorded]
+        slope = slope[is_recorded]
+        noise = noise[np.ix_(is_recorded, is_recorded)]
+        error = error[is_recorded]
     return compute_gain(belief, Affine(slope, np.zeros(len(error)), noise), error)
 
 
@@ -136,8 +141,11 @@ def update_belief(belief: Belief, correction: Correction) -> Belief:
 
 def linearise_step(problem: Problem, linearise: Linearise, point: Belief, i: int) -> Affine:
     """Linearise the step from sample i to the next about `point`, (j, j), with process noise and drift."""
-    s, j = problem.start.mean.size, point.mean.size
-    slope, offset, noise = np.eye(j), np.zeros(j), np.zeros((j, j))
+    s = problem.start.mean.size
+    j = point.mean.size
+    slope = np.eye(j)
+    offset = np.zeros(j)
+    noise = np.zeros((j, j))
     if problem.transition is not None:
         model = linearise(partial(_next_states, problem, i), point, *limits(problem))
         slope[:s], offset[:s], noise[:s, :s] = model.slope, model.offset, model.spread
@@ -192,7 +200,8 @@ def tangent(function: Function, belief: Belief, lower: Array, upper: Array) -> A
     """Linearise at the mean moved inside the bounds, by central differences, one-sided on a bound."""
     point = np.clip(belief.mean, lower, upper)
     step = np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(point), np.minimum(belief.sd, 1e3) + 1e-6)
-    above, below = np.minimum(point + step, upper), np.maximum(point - step, lower)
+    above = np.minimum(point + step, upper)
+    below = np.maximum(point - step, lower)
     ends = np.column_stack([point[:, None] + np.diag(above - point), point[:, None] + np.diag(below - point), point])
     values = function(ends)
     j = point.size
@@ -219,7 +228,8 @@ def regression(
     if not np.isfinite(values).all():
         raise LostTrackError
     mean = values @ points.Wm
-    deviation, response = cloud - belief.mean[:, None], values - mean[:, None]
+    deviation = cloud - belief.mean[:, None]
+    response = values - mean[:, None]
     # pairs of opposite points: their difference over their distance is exact however flat the belief
     j = belief.mean.size
     half = 0.5 * (deviation[:, 1 : j + 1] - deviation[:, j + 1 :])

@@ -86,11 +86,13 @@ class ParticleSwarm:
            the defaults of inertia and pull.
         """
         lower, upper = problem.search_box
-        rng, shape = np.random.default_rng(self.seed), (self.n_particles, lower.size)
+        rng = np.random.default_rng(self.seed)
+        shape = (self.n_particles, lower.size)
         theta = lower + (upper - lower) * rng.random(shape)
         theta[0] = problem.origin
         velocity = 0.1 * (upper - lower) * (2.0 * rng.random(shape) - 1.0)
-        best_theta, best_objective = theta.copy(), problem.objective(theta)
+        best_theta = theta.copy()
+        best_objective = problem.objective(theta)
         for _ in range(self.n_iterations):
             pull = rng.random((2, *shape))
             leader = best_theta[best_objective.argmin()]

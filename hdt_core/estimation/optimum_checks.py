@@ -165,7 +165,9 @@ def profile_intervals(problem: Problem, optimum: Point, cov: Array, variance: fl
         Of the noise over the declared one: the target rise is 3.84 times this.
     """
     n = optimum.theta.size
-    ends, without_limit, n_evals = np.tile(optimum.theta[:, None], (1, 2)), np.zeros((n, 2), bool), 0
+    ends = np.tile(optimum.theta[:, None], (1, 2))
+    without_limit = np.zeros((n, 2), bool)
+    n_evals = 0
     lowest = optimum
     for i in np.flatnonzero(problem.bounds[:, 0] < problem.bounds[:, 1]):
         for side, sign in enumerate((-1.0, 1.0)):
@@ -180,22 +182,28 @@ def _end(
     problem: Problem, optimum: Point, cov: Array, i: int, sign: float, variance: float
 ) -> tuple[float, bool, int, Point]:
     """Find the end of parameter i's interval on one side, whether it is open, passes, and the lowest point found."""
-    wall, target_rise = problem.bounds[i, int(sign > 0.0)], RISE * variance
+    wall = problem.bounds[i, int(sign > 0.0)]
+    target_rise = RISE * variance
     sd = float(np.sqrt(cov[i, i] * variance))
     step = 1.96 * sd if np.isfinite(sd) and sd > 0.0 else max(abs(float(optimum.theta[i])), 1.0)
-    inner, low, passes, point = (0.0, 0.0), optimum, 0, optimum
+    inner = (0.0, 0.0)
+    low = optimum
+    passes = 0
+    point = optimum
     for _ in range(STRETCHES):
         is_beyond = (optimum.theta[i] + sign * step - wall) * sign >= 0.0
         step = float(abs(wall - optimum.theta[i])) if is_beyond else step
         point = _refit_fixed(problem, point, i, wall if is_beyond else optimum.theta[i] + sign * step)
-        passes, low = passes + point.n_evals, point if point.objective < low.objective else low
+        passes = passes + point.n_evals
+        low = point if point.objective < low.objective else low
         rise = point.objective - optimum.objective
         if rise >= target_rise:
             length, extra = _crossing(problem, optimum, point, (i, sign), (inner, (step, rise)), target_rise)
             return float(optimum.theta[i] + sign * length), False, passes + extra, low
         if is_beyond:
             return float(wall), True, passes, low
-        inner, step = (step, max(rise, 0.0)), 2.0 * step
+        inner = (step, max(rise, 0.0))
+        step = 2.0 * step
     return sign * np.inf, True, passes, low
 
 
@@ -217,7 +225,8 @@ def _crossing(
         middle = inner + (outer - inner) * float(np.clip(share, 0.05, 0.95))
         start = near if np.isfinite(near.objective) else optimum
         near = _refit_fixed(problem, start, i, float(optimum.theta[i] + sign * middle))
-        passes, rise = passes + near.n_evals, max(near.objective - optimum.objective, 0.0)
+        passes = passes + near.n_evals
+        rise = max(near.objective - optimum.objective, 0.0)
         if abs(np.sqrt(rise / target_rise) - 1.0) < 0.02:
             return middle, passes
         inner, low, outer, high = (middle, rise, outer, high) if rise < target_rise else (inner, low, middle, rise)
@@ -226,7 +235,8 @@ def _crossing(
 
 def _refit_fixed(problem: Problem, near: Point, i: int, value: float) -> Point:
     """Refit all parameters but i, fixed at `value`, from the linear guess about the point `near`."""
-    bounds, is_free = problem.bounds.copy(), np.arange(near.theta.size) != i
+    bounds = problem.bounds.copy()
+    is_free = np.arange(near.theta.size) != i
     bounds[i] = value
     plain = np.where(is_free, near.theta, value)
     guess = plain.copy()

@@ -130,7 +130,9 @@ class PanelLeastSquares:
 
     def _descend(self, panel: Panel) -> tuple[Estimate, Array, Array | None]:
         """Return the estimate, the units' parameters and the levels, none without rows."""
-        design, units, level = panel.prior.mean, panel.unit_mean, None
+        design = panel.prior.mean
+        units = panel.unit_mean
+        level = None
         n_steps = 0
         status: Status = "max_steps"
         data = Identifiability(panel.names, np.zeros_like(panel.prior.cov))
@@ -141,7 +143,9 @@ class PanelLeastSquares:
         while n_steps < self.max_steps and (status == "max_steps" or n_steps < self.min_steps):
             normal, of_unit, of_level = self._eliminate(panel, levels._replace(gap=gap), design, units, level)
             target, cov, is_finite = self._solve(panel, design, normal)
-            step, design, n_steps = target - design, target, n_steps + 1
+            step = target - design
+            design = target
+            n_steps = n_steps + 1
             change = of_unit @ np.r_[-step, 1.0]
             units = units + change
             moves = np.column_stack([np.tile(step, (len(of_level), 1)), change[levels.unit], np.ones(len(of_level))])
@@ -159,7 +163,8 @@ class PanelLeastSquares:
     def _solve(self, panel: Panel, design: Array, normal: Array) -> tuple[Array, Array, bool]:
         """Add the priors and solve for the next design, inside its bounds; return also its covariance, and whether that
         is finite."""
-        prior, terms = panel.prior, panel.prior_terms(design)
+        prior = panel.prior
+        terms = panel.prior_terms(design)
         slope = forward_differences(panel.prior_terms, design, terms, panel.step, panel.bounds[:, 1])
         information = normal[:, :-1] + prior.information + slope.T @ slope
         right = normal[:, -1] + prior.information @ (prior.mean - design) - slope.T @ terms
@@ -183,7 +188,8 @@ class PanelLeastSquares:
         for equation in panel.others:
             columns, weight = self._linearise(panel, equation, design, units, nothing)
             gram += _cross_by_unit(panel.unit, len(units), columns * weight[:, None], columns)
-        p, own = design.size, slice(design.size, -1)
+        p = design.size
+        own = slice(design.size, -1)
         prior = panel.unit_sd[:, :, None] ** -2.0 * np.eye(units.shape[1])
         right = (panel.unit_mean - units) / panel.unit_sd**2 - gram[:, own, -1]
         of_unit = np.linalg.solve(gram[:, own, own] + prior, np.concatenate([gram[:, own, :p], right[..., None]], 2))
@@ -197,8 +203,10 @@ class PanelLeastSquares:
 
         Noise is propagated through the equation; Cauchy's weights are about the `expected` residual.
         """
-        of_row, function = units[panel.unit].T, equation.residual
-        residual, origin = function(design, of_row), np.zeros(units.shape[1])
+        of_row = units[panel.unit].T
+        function = equation.residual
+        residual = function(design, of_row)
+        origin = np.zeros(units.shape[1])
         by_design = forward_differences(lambda d: function(d, of_row), design, residual, panel.step, panel.bounds[:, 1])
         by_unit = forward_differences(
             lambda shift: function(design, of_row + shift[:, None]), origin, residual, panel.unit_step
@@ -223,7 +231,8 @@ def forward_differences(
 
 def _index_levels(panel: Panel) -> _Levels:
     starts = np.r_[True, (np.diff(panel.unit) != 0) | (np.diff(panel.time) != 0)]
-    unit, time = panel.unit[starts], panel.time[starts]
+    unit = panel.unit[starts]
+    time = panel.time[starts]
     return _Levels(np.cumsum(starts) - 1, unit, np.where(np.diff(unit) != 0, np.inf, np.diff(time)))
 
 
@@ -239,17 +248,21 @@ def _eliminate_levels(panel: Panel, levels: _Levels, columns: Array, weight: Arr
 
     Rows of a level are compared as they are, levels through the instruments: two-stage least squares.
     """
-    n, k = len(panel.unit_mean), columns.shape[1]
+    n = len(panel.unit_mean)
+    k = columns.shape[1]
     every = columns if panel.instruments is None else np.column_stack([columns, panel.instruments])
     means, total = group_means(every, levels.of_row, weight)
     level_weight = 1.0 / (1.0 / total + panel.walk.time_sd**2 * panel.levelled.design_effect)
     smoothed = _smooth(panel, levels, level_weight, means)
     innovation = (means - smoothed) * level_weight[:, None]
-    predictor, pull = means[:, : k - 1], innovation[:, : k - 1]
+    predictor = means[:, : k - 1]
+    pull = innovation[:, : k - 1]
     if panel.instruments is not None:
-        z, z_innovation = means[:, k:], innovation[:, k:]
+        z = means[:, k:]
+        z_innovation = innovation[:, k:]
         first_stage = np.linalg.solve(z.T @ z_innovation + 1e-9 * np.eye(z.shape[1]), z_innovation.T @ predictor)
-        predictor, pull = z @ first_stage, z_innovation @ first_stage
+        predictor = z @ first_stage
+        pull = z_innovation @ first_stage
     deviation = columns - means[levels.of_row, :k]
     gram = _cross_by_unit(panel.unit, n, deviation * weight[:, None], deviation)
     gram[:, :-1] += _cross_by_unit(levels.unit, n, pull, np.column_stack([predictor, means[:, k - 1]]))

@@ -90,8 +90,11 @@ class PhysicsInformedNet:
             return conclude(problem, problem.origin * np.nan, "diverged", 1, method=self.name)
         if not training.is_settled:
             training = self._train_wider(problem, training)
-        n_terms, n, n_evals = training.n_terms, problem.prior.mean.size, training.n_evals
-        vector, layout = training.vector, training.layout
+        n_terms = training.n_terms
+        n = problem.prior.mean.size
+        n_evals = training.n_evals
+        vector = training.vector
+        layout = training.layout
         average = _average(vector[-n_terms - n :], _cov_of_last(training.normal, n_terms + n), n_terms)
         mean = np.clip(average.mean, *problem.bounds.T)  # an average of models may leave the declared bounds
         cov = average.cov
@@ -113,7 +116,8 @@ class PhysicsInformedNet:
         first = _first_weights(layout, guess, np.random.default_rng(self.seed))
         n_terms = layout.size.size * len(layout.exponents)
         vector = np.concatenate([first, np.zeros(n_terms), theta])
-        steps, normal = 0, np.eye(vector.size)
+        steps = 0
+        normal = np.eye(vector.size)
         for rho in self.stages:
             vector, normal, steps = _train(problem, vector, layout, rho, max_steps=self.max_steps)
             n_evals += steps * (1 + 2 * (layout.size.size + theta.size))
@@ -203,10 +207,12 @@ def _average(mean: Array, cov: Array, n_terms: int) -> _Average:
     models = [m for size in range(MOST_TERMS + 1) for m in combinations(range(n_terms), size)]
     sizes = np.array([len(m) for m in models])
     log_weight = -np.log(np.bincount(sizes)[sizes])
-    means, covs = [], []
+    means = []
+    covs = []
     for i, model in enumerate(models):
         absent = np.setdiff1d(np.arange(n_terms), model)
-        own, shared = cov[np.ix_(absent, absent)], cov[absent, n_terms:]
+        own = cov[np.ix_(absent, absent)]
+        shared = cov[absent, n_terms:]
         gain = np.linalg.solve(own, np.column_stack([mean[absent], shared]))
         log_density = -0.5 * (mean[absent] @ gain[:, 0] + np.linalg.slogdet(own)[1])
         log_weight[i] += log_density + len(absent) * np.log(TERM_SD)
@@ -234,7 +240,8 @@ def _describe(average: _Average, exponents: Array) -> str:
 
 def _products(states: Array, layout: _Layout) -> tuple[Array, Array]:
     """Evaluate products of the scaled states (s, k): (products, k), and their derivatives by state (products, s, k)."""
-    size, powers = layout.size, layout.exponents[:, :, None]
+    size = layout.size
+    powers = layout.exponents[:, :, None]
     scaled = states / size[:, None]
     factors = scaled**powers
     by_own = powers * scaled ** np.maximum(powers - 1, 0) / size[:, None]
@@ -268,11 +275,16 @@ def _first_weights(layout: _Layout, guess: Array, rng: np.random.Generator) -> A
 def _train(problem: Problem, vector: Array, layout: _Layout, rho: float, *, max_steps: int) -> tuple[Array, Array, int]:
     """Train net, terms and parameters by Levenberg and Marquardt: vector, its J^T J, steps."""
     residual, slope = _loss(problem, vector, layout, rho)
-    cost, damping, n_still, steps = float(residual @ residual), FIRST_DAMPING, 0, 0
-    normal, n = slope.T @ slope, problem.prior.mean.size
+    cost = float(residual @ residual)
+    damping = FIRST_DAMPING
+    n_still = 0
+    steps = 0
+    normal = slope.T @ slope
+    n = problem.prior.mean.size
     while steps < max_steps and n_still < STILL_STEPS:
         steps += 1
-        gradient, size = slope.T @ residual, np.diag(normal) + 1e-12
+        gradient = slope.T @ residual
+        size = np.diag(normal) + 1e-12
         while True:
             trial = vector + np.linalg.solve(normal + damping * np.diag(size), -gradient)
             trial[-n:] = np.clip(trial[-n:], *problem.bounds.T)
@@ -284,7 +296,11 @@ def _train(problem: Problem, vector: Array, layout: _Layout, rho: float, *, max_
         if new_cost >= cost:  # no step lowers the cost: the minimum, to rounding
             break
         n_still = n_still + 1 if cost - new_cost < STILL_COST else 0
-        vector, residual, slope, cost, damping = trial, new_residual, new_slope, new_cost, damping * 0.2
+        vector = trial
+        residual = new_residual
+        slope = new_slope
+        cost = new_cost
+        damping = damping * 0.2
         normal = slope.T @ slope
     return vector, normal, steps
 
@@ -300,14 +316,18 @@ def _cov_of_last(normal: Array, n: int) -> Array:
 def _loss(problem: Problem, vector: Array, layout: _Layout, rho: float) -> tuple[Array, Array]:
     """Compute residuals of the loss and their Jacobian by everything trained: net, terms, parameters."""
     size = layout.size
-    s, n, k, n_products = size.size, problem.prior.mean.size, layout.time.size, len(layout.exponents)
+    s = size.size
+    n = problem.prior.mean.size
+    k = layout.time.size
+    n_products = len(layout.exponents)
     net, coefficients, theta = np.split(vector, (vector.size - n - s * n_products, vector.size - n))
     states, by_net = _states(net, layout)
     index = np.arange(k)
     modelled, modelled_x, modelled_theta = _with_slopes(problem.observe, states, theta, index)
     assert problem.transition is not None
     next_states, next_x, next_theta = _with_slopes(problem.transition, states[:, :-1], theta, index[:-1])
-    change, coefficients = layout.change[:, None], coefficients.reshape(s, n_products)
+    change = layout.change[:, None]
+    coefficients = coefficients.reshape(s, n_products)
     terms, terms_x = _products(states[:, :-1], layout)
     next_states = next_states + change * (coefficients @ terms)
     next_x = next_x + change[..., None] * np.einsum("af,fsk->ask", coefficients, terms_x)
@@ -354,7 +374,9 @@ def _states(weights: Array, layout: _Layout) -> tuple[Array, Array]:
 
     One layer of tanh: slopes and shifts of the units, their weights (units, s), offsets (s,).
     """
-    time, size, width = layout.time, layout.size, layout.width
+    time = layout.time
+    size = layout.size
+    width = layout.width
     s = size.size
     slope, shift, weight, offset = np.split(weights, (width, 2 * width, weights.size - s))
     weight = weight.reshape(width, s)
@@ -381,7 +403,8 @@ def _with_slopes(function: Observe, states: Array, theta: Array, index: Sample) 
     slopes = []
     for j, row in enumerate(arguments):
         step = 6e-6 * max(float(np.abs(row).max()), 1e-3)
-        above, below = arguments.copy(), arguments.copy()
+        above = arguments.copy()
+        below = arguments.copy()
         above[j] += step
         below[j] -= step
         slopes.append((value(above) - value(below)) / (2.0 * step))

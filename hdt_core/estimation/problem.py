@@ -301,7 +301,8 @@ class Problem:
 
     def _perturbed(self, theta: Array) -> tuple[Array, Array]:
         """Return `theta` with one parameter raised, then lowered, inside the bounds (2 n, ..., n), and the widths."""
-        n, step = theta.shape[-1], np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(theta), _scale(self))
+        n = theta.shape[-1]
+        step = np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(theta), _scale(self))
         above = np.minimum(theta + step, self.bounds[:, 1])
         below = np.maximum(theta - step, self.bounds[:, 0])
         units = np.eye(n).reshape(n, *(1,) * (theta.ndim - 1), n)

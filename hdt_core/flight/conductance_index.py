@@ -66,7 +66,8 @@ def learn_manifold(samples: pl.DataFrame, legs: pl.DataFrame) -> Manifold | None
     usable = _usable(samples, *LEG).join(numbers, on=LEG, how="left", maintain_order="left", validate="m:1")
     if usable.height <= 10 * len(TERMS):
         return None
-    x, slopes = usable.select(TERMS).to_numpy(), _slopes(usable)
+    x = usable.select(TERMS).to_numpy()
+    slopes = _slopes(usable)
     centre = np.median(x, axis=0)
     off = usable.with_columns(pl.Series("index", usable["y"].to_numpy() - (x - centre) @ slopes))
     step = off.select((pl.col("index") - pl.col("index").shift(1).over(LEG)).abs().median()).item()
@@ -99,7 +100,9 @@ def _usable(samples: pl.DataFrame, *keys: str) -> pl.DataFrame:
 
 
 def _regressors() -> list[pl.Expr]:
-    hot, out, cold = pl.col("hx_in_k"), pl.col("hx_out_k"), pl.col("tat_k")
+    hot = pl.col("hx_in_k")
+    out = pl.col("hx_out_k")
+    cold = pl.col("tat_k")
     flow = pl.col("pack_flow_kg_s").log()
     door = pl.col("ram_door_open").clip(lower_bound=0.02).log()
     density = (pl.col("total_pressure_pa") / cold.sqrt()).log() - 7.7  # near its cruise value: keeps the products apart

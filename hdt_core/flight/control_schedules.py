@@ -120,7 +120,8 @@ def _fit_knots(rows: pl.DataFrame, knots: tuple[float, ...]) -> tuple[tuple[floa
         return (0.0,) * n, 0.0
     group = rows["group"].rank("dense").to_numpy().astype(np.int64)
     hats = np.stack([np.interp(rows["x"].to_numpy(), knots, row) for row in np.eye(n)], axis=1)
-    basis, y = np.column_stack([hats, rows["third"].to_numpy()]), rows["y"].to_numpy()
+    basis = np.column_stack([hats, rows["third"].to_numpy()])
+    y = rows["y"].to_numpy()
     bend = np.diff(np.eye(n, n + 1), 2, axis=0)
     # the groups' constants absorb any other, so a weak ridge makes the solution unique
     ridge = ROUGHNESS * bend.T @ bend + 1e-6 * np.eye(n + 1)
@@ -162,7 +163,8 @@ def speed_limit(speed_rad_s: Array, beyond_schedule_ln: Array) -> SpeedLimit:
     A controller holds the pressure to half a per cent as long as it may turn the machine faster.
     """
     valid = np.isfinite(speed_rad_s) & np.isfinite(beyond_schedule_ln) & (speed_rad_s > 0.0)
-    speed, beyond = speed_rad_s[valid], beyond_schedule_ln[valid]
+    speed = speed_rad_s[valid]
+    beyond = beyond_schedule_ln[valid]
     if speed.size <= STRAY_SAMPLES:
         return SpeedLimit()
     highest = np.sort(speed)[-STRAY_SAMPLES - 1]

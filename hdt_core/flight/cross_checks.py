@@ -84,7 +84,8 @@ def check_sensors(values: pl.DataFrame, legs: pl.DataFrame) -> pl.DataFrame:
 
 def _scatters() -> list[pl.Expr]:
     """Return the scatter of each check: `_step` between flights, `_alone` of single flights, `_smooth_usual`."""
-    checks, smooth = pl.col(list(TOLERANCE)), pl.col([f"{c}_smooth" for c in TOLERANCE])
+    checks = pl.col(list(TOLERANCE))
+    smooth = pl.col([f"{c}_smooth" for c in TOLERANCE])
     values = {"_step": checks.diff(), "_alone": checks, "_usual": smooth}
     return [spread_expr(v).over(PACK).name.suffix(end) for end, v in values.items()]
 

@@ -281,7 +281,8 @@ def _run(signal: str) -> pl.Expr:
 
 
 def _is_frozen_noisy(signal: str, run_of_chance: pl.Expr | float = 0.0) -> pl.Expr:
-    run, least = _run(signal), pl.max_horizontal(pl.lit(NOISY_RUN), run_of_chance)
+    run = _run(signal)
+    least = pl.max_horizontal(pl.lit(NOISY_RUN), run_of_chance)
     span_s = seconds_between(pl.col("time_utc").max(), pl.col("time_utc").min()).over(run)
     running = pl.col(signal) > OFF_BELOW * LIMITS[signal][1]
     return (pl.col(signal).count().over(run) >= least) & (span_s >= NOISY_RUN_S) & running
@@ -383,7 +384,8 @@ def drift_free(second: pl.Expr, signal: str, harmful: float) -> pl.Expr:
     harmful : float
         Largest drift that leaves what the signal drives quasi-steady. [signal's unit / s]
     """
-    time, reading = second.filter(pl.col(signal).is_not_null()), pl.col(signal).drop_nulls()
+    time = second.filter(pl.col(signal).is_not_null())
+    reading = pl.col(signal).drop_nulls()
     slope = pl.cov(time, reading) / time.var()
     degrees = reading.len() - 2
     residual = (reading.var() - slope**2 * time.var()).clip(lower_bound=0.0)

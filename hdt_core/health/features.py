@@ -262,7 +262,8 @@ def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:
     heat_j_kg = flow * mean_specific_heat_j_kg_k(hot_in_k, hot_out_k) * (hot_in_k - hot_out_k) / ram_flow
     rise_k = pl.Series(warmed_k(tat_k, heat_j_kg) - tat_k)
     drop_k = pl.col("hx_in_k") - pl.col("tat_k")
-    ratio, has_efficiency = pl.col("ln_ua_ratio").exp(), pl.col("efficiency").is_not_null()
+    ratio = pl.col("ln_ua_ratio").exp()
+    has_efficiency = pl.col("efficiency").is_not_null()
     ua_sd = (pl.col("ln_ua_ratio_sd") ** 2 + pl.col("ln_ua_ratio_map_sd") ** 2).sqrt()
     reading_sd = (NOISE_SD["hx_out_k"] ** 2 / pl.col("n_samples").clip(1) + BIAS_SD["hx_out_k"] ** 2).sqrt()
     return twin_flights.select(

@@ -55,7 +55,8 @@ def compressor_demand(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedul
         share of the demanded flow) and `cc_widest_share_<condition>` (share delivered at the widest position on
         record). Missing is null.
     """
-    fit, limit_rad_s = dsm.compressor, schedules.speed.rad_s
+    fit = dsm.compressor
+    limit_rad_s = schedules.speed.rad_s
     has_map = fit.group_slope_m3_per_count > max(SURE_SD * fit.group_slope_sd_m3_per_count, LEAST_SLOPE_M3_COUNT)
     cruise = cruise_samples(samples, monitored=False)
     if limit_rad_s is None or not has_map or not cruise.height:
@@ -169,7 +170,8 @@ def _hot_and_high(flights: pl.DataFrame) -> pl.DataFrame:
     """Return the same flows at 41,000 ft on a hot day; the compressor's inlet follows the air."""
     air = reference_air(flights.height, HIGH_CRUISE_M)
     air["tat_k"] = hot_day_tat_k(air["altitude_m"], air["mach"])
-    above_k, share = pl.col("inlet_k") - pl.col("tat_k"), pl.col("inlet_pa") / pl.col("total_pressure_pa")
+    above_k = pl.col("inlet_k") - pl.col("tat_k")
+    share = pl.col("inlet_pa") / pl.col("total_pressure_pa")
     now = {name: pl.Series(values) for name, values in air.items()}
     return flights.with_columns(**now, inlet_k=now["tat_k"] + above_k, inlet_pa=now["total_pressure_pa"] * share)
 
@@ -191,6 +193,7 @@ def read_across(grids: Array, values: Array, at: Array) -> tuple[Array, Array]:
     """
     index = np.clip((grids < at[:, None]).sum(axis=1) - 1, 0, values.size - 2)
     rows = np.arange(len(at))
-    low, high = grids[rows, index], grids[rows, index + 1]
+    low = grids[rows, index]
+    high = grids[rows, index + 1]
     slope = (values[index + 1] - values[index]) / np.maximum(high - low, 1e-6)
     return values[index] + (at - low) * slope, slope

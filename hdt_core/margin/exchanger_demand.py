@@ -124,7 +124,8 @@ def margin_parts(
     target. The blockage is the loss of ram flow by the heat balance of a measured ram outlet.
     """
     n = flights.height
-    tail, level_k = flights["tail"].to_numpy(), schedules.outlet.levels.get("", 0.0)
+    tail = flights["tail"].to_numpy()
+    level_k = schedules.outlet.levels.get("", 0.0)
     now = reference_air(n) | {
         "hx_in_k": np.full(n, REFERENCE_INLET_K),
         "pack_flow_kg_s": np.full(n, dsm.cruise_flows_kg_s[0]),
@@ -164,7 +165,8 @@ def _high(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedules) -> pl.Da
 
 def _with_level(samples: pl.DataFrame, schedules: ControlSchedules) -> pl.DataFrame:
     """Add each sample's target: schedule on TAT plus the flight's own trim or the pack's."""
-    tail, tat_k = samples["tail"].to_numpy(), samples["tat_k"].to_numpy().astype(float)
+    tail = samples["tail"].to_numpy()
+    tat_k = samples["tat_k"].to_numpy().astype(float)
     rows = samples.with_columns(schedules.outlet.column(tail, tat_k).alias("shape_k"))
     above = (pl.col("hx_out_k") - pl.col("shape_k")).filter(has_authority())
     trims = rows.group_by(FLIGHT_PACK).agg(above.median().alias("own_k"), above.len().alias("own_n"))
@@ -209,6 +211,7 @@ def falls_through(curves: Array, grid: Array, value: float) -> Array:
     """Return where falling curves over one grid reach a value: (n, points) to (n,)."""
     index = np.clip((curves > value).sum(axis=1) - 1, 0, grid.size - 2)
     rows = np.arange(len(curves))
-    high, low = curves[rows, index], curves[rows, index + 1]
+    high = curves[rows, index]
+    low = curves[rows, index + 1]
     share = (high - value) / np.maximum(high - low, 1e-9)
     return np.asarray(grid[index] + share * (grid[index + 1] - grid[index]))

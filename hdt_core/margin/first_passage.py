@@ -122,7 +122,8 @@ def passage(ratio: Array, ratio_sd: Array, demand: Array, rate: Array, rate_sd: 
     edges : array
         Flights from now, rising from 0.
     """
-    middle, span = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    span = np.diff(edges)
     rates = np.maximum(rate[:, None] + rate_sd[:, None] * NODES, 0.0)
     ratio_ahead = ratio[:, None, None] - rates[:, :, None] * middle
     sd = np.sqrt(ratio_sd**2 + DEMAND_SD**2)[:, None, None]
@@ -168,7 +169,8 @@ def passages(flights: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
     )
     if not rows.height:
         return rows.select(LEG).with_columns(pl.lit(None, pl.Float64).alias(name) for name in PASSAGES)
-    pack, flight = number_packs(rows), rows.select(pl.int_range(pl.len()).over(PACK))[:, 0].to_numpy()
+    pack = number_packs(rows)
+    flight = rows.select(pl.int_range(pl.len()).over(PACK))[:, 0].to_numpy()
     curves = np.full((pack.max() + 1, flight.max() + 1, len(EXCESS_K)), np.nan)
     curves[pack, flight] = rows.select(CRITICAL[: len(EXCESS_K)]).to_numpy().astype(float)
     quantiles = demand_quantiles(repeated_demand(at_excess(curves, PRIOR_RULE.excess_k), PRIOR_RULE.of), pack, flight)

@@ -132,7 +132,8 @@ HOT_DAY_K = 15.0
 
 def reference_air(n: int, level_m: float = REFERENCE_M) -> dict[str, Array]:
     """Return `altitude_m, mach, tat_k, total_pressure_pa` of the reference cruise, or of another level, (n,) each."""
-    altitude_m, mach = np.full(n, level_m), np.full(n, REFERENCE_MACH)
+    altitude_m = np.full(n, level_m)
+    mach = np.full(n, REFERENCE_MACH)
     return {
         "altitude_m": altitude_m,
         "mach": mach,

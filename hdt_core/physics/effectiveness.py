@@ -98,7 +98,8 @@ def crossflow_effectiveness_and_slope(ntu_this: Array, ntu_other: Array) -> tupl
     if not np.any(many):
         return _by_series(a, b)
     value, slope = (np.array(x) for x in _by_series(np.where(many, 0.0, a), np.where(many, 0.0, b)))
-    far_a, far_b = a[many], b[many]
+    far_a = a[many]
+    far_b = b[many]
     few = np.where(np.real(far_a) < np.real(far_b), far_a, far_b)
     short, unequal = contour_sums(few, far_a + far_b - few)
     value[many], slope[many] = (few - short) / far_b, few * unequal / far_b
@@ -107,7 +108,8 @@ def crossflow_effectiveness_and_slope(ntu_this: Array, ntu_other: Array) -> tupl
 
 def _by_series(a: Array, b: Array) -> tuple[Array, Array]:
     """Mason's series and the sum of products of Poisson probabilities that is its slope."""
-    term_a, term_b = np.exp(-a), np.exp(-b)
+    term_a = np.exp(-a)
+    term_b = np.exp(-b)
     p_a = -np.expm1(-a)
     q_b = np.where(b == 0.0, 1.0, -np.expm1(-b) / np.where(b == 0.0, 1.0, b))  # P(n+1, b) / b
     fewest = np.fmin(np.real(a), np.real(b))
@@ -156,13 +158,19 @@ def contour_sums(few: Array, many: Array) -> tuple[Array, Array]:
     """
     width = (2.0 * np.sqrt(np.real(few) * np.real(many))) ** -0.5
     w = np.maximum(0.5 * np.log(np.real(many) / np.real(few)), CONTOUR_SHIFT * width)
-    away, scale, both, difference = np.sinh(w), np.exp(w), few + many, many - few
-    short, unequal = 0.0 * both, 0.0 * both
+    away = np.sinh(w)
+    scale = np.exp(w)
+    both = few + many
+    difference = many - few
+    short = 0.0 * both
+    unequal = 0.0 * both
     for k in range(CONTOUR_NODES + 1):
         theta = CONTOUR_STEP * k * width
-        level, across = np.cos(theta), np.sin(theta)
+        level = np.cos(theta)
+        across = np.sin(theta)
         # real and imaginary part of cosh(w + i theta) - 1, without the difference of two ones
-        u, v = 2.0 * np.sinh(0.5 * w) ** 2 * level - 2.0 * np.sin(0.5 * theta) ** 2, away * across
+        u = 2.0 * np.sinh(0.5 * w) ** 2 * level - 2.0 * np.sin(0.5 * theta) ** 2
+        v = away * across
         height = np.exp(both * u - difference * away * level) * (1.0 if k == 0 else 2.0)
         turn = both * v - difference * np.cosh(w) * across
         short = short + height * (np.cos(turn) * u + np.sin(turn) * v) / (u**2 + v**2)
@@ -203,7 +211,8 @@ def crossflow_ntu(effectiveness: Array, ntu_ratio: Array) -> Array:
     """
     eps, ratio = (np.asarray(x, dtype=float) for x in np.broadcast_arrays(effectiveness, ntu_ratio))
     possible = (eps >= 0.0) & (eps * np.maximum(ratio, 1.0) < 1.0) & (ratio >= 0.0)
-    eps, ratio = np.where(possible, eps, 0.0), np.where(possible, ratio, 1.0)
+    eps = np.where(possible, eps, 0.0)
+    ratio = np.where(possible, ratio, 1.0)
     with np.errstate(all="ignore"):
         target = _counterflow_ntu(eps, ratio)
     possible &= np.isfinite(target)

@@ -57,7 +57,8 @@ def mean_specific_heat_j_kg_k(from_k: Array, to_k: Array) -> Array:
     >>> round(mean_specific_heat_j_kg_k(300.0, 400.0), 2)
     1008.45
     """
-    one_k, other_k = from_k - 300.0, to_k - 300.0
+    one_k = from_k - 300.0
+    other_k = to_k - 300.0
     square_terms = one_k**2 + one_k * other_k + other_k**2
     return CP_300_J_KG_K + CP_SLOPE / 2.0 * (one_k + other_k) + CP_CURVE / 3.0 * square_terms
 
@@ -152,7 +153,8 @@ def film_gains(hot_in_k: Array, cold_in_k: Array) -> tuple[Array, Array]:
     >>> round(hot, 4), round(cold, 4)
     (1.0236, 1.0099)
     """
-    hot_film_k, cold_film_k = 0.75 * hot_in_k + 0.25 * cold_in_k, 0.25 * hot_in_k + 0.75 * cold_in_k
+    hot_film_k = 0.75 * hot_in_k + 0.25 * cold_in_k
+    cold_film_k = 0.25 * hot_in_k + 0.75 * cold_in_k
     hot_gain: Array = (hot_film_k / REFERENCE_HOT_FILM_K) ** FILM_EXPONENT
     cold_gain: Array = (cold_film_k / REFERENCE_COLD_FILM_K) ** FILM_EXPONENT
     return hot_gain, cold_gain

@@ -48,14 +48,18 @@ def advance_states(rates: Rates, x: Array, dt_s: float, solver: Solver) -> Array
 
 def _adaptive(rates: Rates, x: Array, dt_s: float) -> Array:
     """Take steps of Dormand and Prince, the same for all columns; stiff columns go to an implicit method."""
-    start, elapsed_s, step = x, 0.0, dt_s
+    start = x
+    elapsed_s = 0.0
+    step = dt_s
     with np.errstate(all="ignore"):
         slope = rates(x)
         for _ in range(MANY_STEPS):
             later, slope_later, ratios = _trial_step(rates, x, slope, step)
             worst = float(ratios.max())
             if worst <= 1.0:
-                x, slope, elapsed_s = later, slope_later, elapsed_s + step
+                x = later
+                slope = slope_later
+                elapsed_s = elapsed_s + step
                 if elapsed_s >= dt_s * (1.0 - 1e-12):
                     return x
             step = min(step * float(np.clip(0.9 * max(worst, 1e-10) ** -0.2, 0.1, 5.0)), dt_s - elapsed_s)
@@ -75,7 +79,8 @@ def _trial_step(rates: Rates, x: Array, slope: Array, step: float) -> tuple[Arra
         stages.append(rates(x + step * _weighted_sum(row, stages)))
     later = x + step * _weighted_sum(RK45.B, stages)
     stages.append(rates(later))
-    error, size = np.abs(step * _weighted_sum(RK45.E, stages)), np.maximum(np.abs(x), np.abs(later))
+    error = np.abs(step * _weighted_sum(RK45.E, stages))
+    size = np.maximum(np.abs(x), np.abs(later))
     start_finite = np.isfinite(x).all(axis=0) & np.isfinite(slope).all(axis=0)
     finite = np.isfinite(error).all(axis=0) & np.isfinite(size).all(axis=0)
     finite_size = np.where(finite, size, 0.0)

@@ -21,7 +21,8 @@ Form = Literal["quasi_steady", "exact", "euler", "tustin"]
 def exact_factors(p: Array, q: Array, r: Array, s: Array, dt_s: float) -> Factors:
     """exp([[p, q], [r, s]] dt): the eigenvalues are real and below 0, so only decaying exponentials appear."""
     half_spread = np.sqrt(0.25 * (p - s) ** 2 + q * r)
-    slow, fast = np.exp((0.5 * (p + s) + half_spread) * dt_s), np.exp((0.5 * (p + s) - half_spread) * dt_s)
+    slow = np.exp((0.5 * (p + s) + half_spread) * dt_s)
+    fast = np.exp((0.5 * (p + s) - half_spread) * dt_s)
     mean = 0.5 * (slow + fast)
     divisor = np.where(half_spread == 0.0, 1.0, half_spread)
     lean = np.where(half_spread == 0.0, dt_s * mean, 0.5 * (slow - fast) / divisor)
@@ -200,7 +201,8 @@ def _step(
     hot_k, cold_k = steady_outlets_k(**inputs)
     matrix = _matrix_per_s(hx_mass_hot_kg=hx_mass_hot_kg, hx_mass_cold_kg=hx_mass_cold_kg, **inputs)
     hh, hc, ch, cc = factors_of(*matrix, dt_s)
-    above_hot_k, above_cold_k = hot_volume_k - hot_k, cold_volume_k - cold_k
+    above_hot_k = hot_volume_k - hot_k
+    above_cold_k = cold_volume_k - cold_k
     return hot_k + hh * above_hot_k + hc * above_cold_k, cold_k + ch * above_hot_k + cc * above_cold_k
 
 

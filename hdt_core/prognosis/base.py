@@ -48,7 +48,8 @@ def draw_fleets(seed: int, fleets: int, aircraft: int, flights: int) -> Iterator
         settings = _draw_settings(rng, aircraft, flights)
         fleet_seed = seed * 1009 + number
         if rng.random() < LIMITED_SHARE:
-            limit, limit_sd = float(np.clip(0.25 + 0.06 * rng.standard_normal(), 0.1, 0.5)), rng.uniform(0.01, 0.08)
+            limit = float(np.clip(0.25 + 0.06 * rng.standard_normal(), 0.1, 0.5))
+            limit_sd = rng.uniform(0.01, 0.08)
             limit_estimate = float(np.clip(limit + limit_sd * rng.standard_normal(), 0.08, 0.6))
             yield draw_limited(fleet_seed, settings, limit, limit_estimate), limit_sd / (1.0 - limit)
         else:

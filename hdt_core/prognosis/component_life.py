@@ -46,7 +46,8 @@ def component_prognoses(
         One row a flight and pack; values are null where the loss is not known.
     """
     rows = features.filter(pl.col("component") == component.code).sort(*PACK, "departed_at", "flight_id")
-    record, month_at = FleetRecord(rows, messages, maintenance), month_of(rows["departed_at"])
+    record = FleetRecord(rows, messages, maintenance)
+    month_at = month_of(rows["departed_at"])
     parts = [_predict(rows.filter(month_at == m), record.as_of(start_of(m)), component) for m in record.months()]
     return pl.concat([_predict(rows.clear(), record, component), *parts]).sort(*PACK, "departed_at", "flight_id")
 
@@ -88,7 +89,8 @@ def _predict(rows: pl.DataFrame, past: FleetRecord, component: Component) -> pl.
     failures = _failures(past, component)
     # no message then means no failure: the component has one, and the operator delivers messages
     operators = past.messages["operator"].unique().to_list() if component.message_code else []
-    alive, limits = rows["operator"].is_in(operators).to_numpy(), _limits(rows, failures, component)
+    alive = rows["operator"].is_in(operators).to_numpy()
+    limits = _limits(rows, failures, component)
     laws = wear_laws(component, past.features)
     by_law = [x.weight * _event_by(rows, limits, component, alive, x.law) for x in laws]
     by = np.sum(by_law, axis=0)
@@ -141,7 +143,8 @@ def _event_by(
     limit, limit_sd = limits
     gained = law.grown(loss) - law.grown(loss - np.nan_to_num(slope) * flights)
     left = rows["loss_left"].to_numpy() if "loss_left" in rows.columns else loss
-    grown, grown_sd = law.grown(left), 0.5 * (law.grown(left + sd) - law.grown(left - sd))
+    grown = law.grown(left)
+    grown_sd = 0.5 * (law.grown(left + sd) - law.grown(left - sd))
     rate, rate_sd = wear_rate(gained / flights, flights, float(usual), float(usual))
     return first_passage(grown, grown_sd, rate, rate_sd, (law.grown(limit), law.slope(limit) * limit_sd), alive)
 

@@ -172,7 +172,9 @@ def tracks_as_of(track: Tracks, moment: datetime, lives: pl.DataFrame, component
     rows = track.keys.select(PACK).with_columns(row=pl.Series(track.curve_index[:, 1])).filter(is_past)
     ends = with_lives(rows, lives, component)
     n = is_past.size
-    remaining, failed, mute = np.full(n, np.nan), np.zeros(n, bool), np.ones(n, bool)
+    remaining = np.full(n, np.nan)
+    failed = np.zeros(n, bool)
+    mute = np.ones(n, bool)
     for values, name in ((remaining, "remaining"), (failed, "failed"), (mute, "mute")):
         values[is_past] = ends[name].to_numpy()
     return replace(track, remaining=remaining, failed=failed, mute=mute)
@@ -254,7 +256,8 @@ def _critical(track: Tracks, rule: FailureRule, place: Array) -> tuple[Array, Ar
         return critical, np.full(len(place), rule.sd / (1.0 - rule.mean)), index
     rule_sd = np.zeros(critical.shape)
     for name in np.unique(track.operator[packs]):
-        rows, setting = track.operator[packs] == name, rule.get(name, rule[""])
+        rows = track.operator[packs] == name
+        setting = rule.get(name, rule[""])
         curve = track.curves[packs[rows], : critical.shape[1], SHARES.index(setting.share)]
         critical[rows] = repeated_demand(at_excess(curve, setting.excess_k), setting.of)
         per_k = np.abs(at_excess(curve, setting.excess_k + 1.0) - at_excess(curve, setting.excess_k - 1.0)) / 2.0

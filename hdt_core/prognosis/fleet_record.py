@@ -85,16 +85,21 @@ def score_months(
     The prognosis of a flight follows from it and those before it, so all after one that changed count as new.
     """
     flights_by_month: dict[date, ScoredFlights] = {}
-    is_new, start, is_unchanged = np.ones(len(track.at), dtype=bool), 0, True
+    is_new = np.ones(len(track.at), dtype=bool)
+    start = 0
+    is_unchanged = True
     last: list[object] = []
     months = track.keys.select(*PACK, month_of(track.keys["departed_at"]).alias("month"))
     for *pack, month, flights in months.group_by(*PACK, "month", maintain_order=True).len().rows():
-        name, numbers = "|".join(str(part) for part in (component, *pack)), _inputs(track, start, start + flights)
+        name = "|".join(str(part) for part in (component, *pack))
+        numbers = _inputs(track, start, start + flights)
         flights_by_month.setdefault(month, {})[name] = (flights, _digest(*numbers, flights))
         n, digest = scored_before.get(month, {}).get(name, (0, ""))
         is_unchanged = (is_unchanged or pack != last) and 0 < n <= flights and _digest(*numbers, n) == digest
         is_new[start : start + n] = not is_unchanged
-        is_unchanged, last, start = is_unchanged and n == flights, pack, start + flights
+        is_unchanged = is_unchanged and n == flights
+        last = pack
+        start = start + flights
     return flights_by_month, is_new
 
 

@@ -41,7 +41,8 @@ def at_risk(remaining: Array, failed: Array) -> tuple[Array, Array, Array, Array
     """
     row = np.repeat(np.arange(remaining.size), SPANS)
     span = np.tile(np.arange(SPANS), remaining.size)
-    starts, ends = EDGES[span], EDGES[span + 1]
+    starts = EDGES[span]
+    ends = EDGES[span + 1]
     is_event = failed[row] & (remaining[row] > starts) & (remaining[row] <= ends)
     exposure = np.where(is_event, 1.0, np.clip((remaining[row] - starts) / (ends - starts), 0.0, 1.0))
     is_exposed = exposure > 0.0
@@ -78,7 +79,10 @@ def fit_hazard(
     """
     row, span, is_event, exposure = at_risk(remaining, failed)
     is_sampled = np.random.default_rng(seed).random(row.size) < share
-    row, span, is_event, exposure = row[is_sampled], span[is_sampled], is_event[is_sampled], exposure[is_sampled]
+    row = row[is_sampled]
+    span = span[is_sampled]
+    is_event = is_event[is_sampled]
+    exposure = exposure[is_sampled]
     model = HistGradientBoostingClassifier(
         max_iter=150,
         learning_rate=0.08,
@@ -175,7 +179,8 @@ def passage_hazards(by: Array, ahead: Sequence[float]) -> Array:
     >>> float(event_by(hazard)[0, EDGES.tolist().index(150.0)])
     0.625
     """
-    horizons, rising = np.array([0.0, *ahead]), np.maximum.accumulate(by, axis=1)
+    horizons = np.array([0.0, *ahead])
+    rising = np.maximum.accumulate(by, axis=1)
     at_edges = [np.interp(EDGES, horizons, [0.0, *row]) for row in rising]
     alive = np.clip(1.0 - np.reshape(at_edges, (-1, EDGES.size)), _LEAST_ALIVE, 1.0)
     return np.asarray(1.0 - alive[:, 1:] / alive[:, :-1])
@@ -186,7 +191,8 @@ def quantile(by: Array, level: float) -> Array:
     rising = by + 1e-9 * np.arange(by.shape[1])
     j = np.clip((rising < level).sum(axis=1), 1, by.shape[1] - 1)
     rows = np.arange(by.shape[0])
-    low, high = rising[rows, j - 1], rising[rows, j]
+    low = rising[rows, j - 1]
+    high = rising[rows, j]
     share = np.clip((level - low) / (high - low), 0.0, 1.0)
     return np.asarray(EDGES[j - 1] + share * (EDGES[j] - EDGES[j - 1]))
 

@@ -124,7 +124,8 @@ def feature_rows(record: Array, critical: Array, place: tuple[Index, Index]) -> 
 
 def _features(record: Array, critical: Array, place: tuple[Index, Index]) -> Array:
     rows = dict(zip(RECORD, record.T, strict=True))
-    demand, ratio = demand_quantiles(critical, *place), rows["ratio"]
+    demand = demand_quantiles(critical, *place)
+    ratio = rows["ratio"]
     rows |= {name.replace("asked", "reserve"): ratio - demand[name] for name in QUANTILES}
     rows["asked_trend"] = demand["asked_trend"]
     # losses are fractions, reserves are in ln: the same step weighs more the smaller the remaining ratio
@@ -212,8 +213,10 @@ def _slope(level: Array, start: Index) -> Array:
     """Fit a least-squares slope over flights `start`..k, per flight; 0 with fewer than five flights."""
     k = np.broadcast_to(np.arange(level.shape[1], dtype=float), level.shape)
     y = np.nan_to_num(level)
-    n, mean_k = k - start + 1.0, 0.5 * (k + start)
-    sum_y, sum_ky = _span_sum(y, start), _span_sum(k * y, start)
+    n = k - start + 1.0
+    mean_k = 0.5 * (k + start)
+    sum_y = _span_sum(y, start)
+    sum_ky = _span_sum(k * y, start)
     sum_squares = n * (n**2 - 1.0) / 12.0
     return np.asarray(np.where(n >= 5, (sum_ky - mean_k * sum_y) / np.maximum(sum_squares, 1.0), 0.0), dtype=float)
 
@@ -242,5 +245,6 @@ def _mean_finite(values: Array, flights: int) -> Array:
     k = np.broadcast_to(np.arange(values.shape[1]), values.shape)
     start = np.maximum(k - flights + 1, 0)
     is_finite = np.isfinite(values)
-    total, count = _span_sum(np.where(is_finite, values, 0.0), start), _span_sum(is_finite.astype(float), start)
+    total = _span_sum(np.where(is_finite, values, 0.0), start)
+    count = _span_sum(is_finite.astype(float), start)
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1.0), np.nan))

@@ -39,20 +39,23 @@ def constant_interval_score(truth: ArrayLike, alpha: float = 0.1) -> float:
 
 def brier_skill(is_event: ArrayLike, probability: ArrayLike) -> float:
     """Compute 1 - Brier score over that of the base rate; 0 is no skill, 1 is perfect."""
-    y, p = np.asarray(is_event, dtype=float), np.asarray(probability, dtype=float)
+    y = np.asarray(is_event, dtype=float)
+    p = np.asarray(probability, dtype=float)
     return float(1.0 - np.mean((p - y) ** 2) / (y.mean() * (1.0 - y.mean())))
 
 
 def auc(is_event: ArrayLike, probability: ArrayLike) -> float:
     """Compute the probability that a row with the event ranks above one without, ties counted half."""
-    y, p = np.asarray(is_event, dtype=bool), np.asarray(probability, dtype=float)
+    y = np.asarray(is_event, dtype=bool)
+    p = np.asarray(probability, dtype=float)
     hits = int(y.sum())
     return float((rankdata(p)[y].sum() - hits * (hits + 1) / 2.0) / (hits * (y.size - hits)))
 
 
 def alpha_lambda(truth: ArrayLike, estimate: ArrayLike, alpha: float = 0.2) -> float:
     """Compute the share of rows within +-alpha of the true remaining life [1]."""
-    t, s = np.asarray(truth, dtype=float), np.asarray(estimate, dtype=float)
+    t = np.asarray(truth, dtype=float)
+    s = np.asarray(estimate, dtype=float)
     return float(np.mean(np.abs(s - t) <= alpha * t))
 
 
@@ -103,6 +106,7 @@ def score_prognoses(prognoses: pl.DataFrame) -> dict[str, float]:
             scores["coverage_last_100"] = float(((low <= truth) & (truth <= high))[near].mean())
             scores["alpha_lambda_20"] = alpha_lambda(truth[near], median[near])
     if 0 < events["event_50"].sum() < events.height:
-        y, p = events["event_50"].to_numpy(), events["p_event_50"].to_numpy()
+        y = events["event_50"].to_numpy()
+        p = events["p_event_50"].to_numpy()
         scores |= {"brier": float(np.mean((p - y) ** 2)), "brier_skill": brier_skill(y, p), "auc": auc(y, p)}
     return scores

@@ -156,7 +156,8 @@ def _lesson_scores(
     scores = np.zeros((len(fits), len(LESSONS)))
     for k, (use, fit) in enumerate(zip(training, fits, strict=True)):
         rows = fleet_rows(track, fit.rule, is_scored & ~use & (column % stride == 0))
-        raw, remaining = _hazards(base, component, rows.features), np.minimum(rows.remaining, HORIZON)
+        raw = _hazards(base, component, rows.features)
+        remaining = np.minimum(rows.remaining, HORIZON)
         by = {False: event_by(raw), True: event_by(fit.correction(raw, rows.features[:, _RESERVE]))}
         for m, (use_correction, use_levels) in enumerate(LESSONS):
             low, _, high = fit.levels if use_levels else prior_levels(base, component)
@@ -211,7 +212,8 @@ def _learn(base: Prognosis, track: Tracks, component: str, use: Array) -> Compon
     if component in PHYSICS_ALONE or failures < LEARN_FROM:
         return ComponentFit(rule, levels=prior_levels(base, component), failures=failures, lives=lives)
     rows = fleet_rows(track, rule, use & (column % _stride(use) == 0))
-    raw, reserve = _hazards(base, component, rows.features), rows.features[:, _RESERVE]
+    raw = _hazards(base, component, rows.features)
+    reserve = rows.features[:, _RESERVE]
     correction = learn_correction(raw, reserve, rows.remaining, rows.failed, rows.life)
     by = event_by(correction(raw, reserve))
     levels = learn_levels(by, rows.remaining, rows.failed, rows.life, prior_levels(base, component))

@@ -100,7 +100,8 @@ def _summary(log_posterior: Array, messages: int) -> MessageRule:
     mass = [sum(c for c, (s, of, _) in zip(chance, RULES, strict=True) if (s, of) == kind) for kind in kinds]
     share, of = kinds[int(np.argmax(mass))]
     in_mode = np.array([(s, o) == (share, of) for s, o, _ in RULES])
-    excess, weight = np.array([e for *_, e in RULES])[in_mode], chance[in_mode] / chance[in_mode].sum()
+    excess = np.array([e for *_, e in RULES])[in_mode]
+    weight = chance[in_mode] / chance[in_mode].sum()
     mean = float(weight @ excess)
     # half a step of the grid adds to the sd
     sd = float(np.sqrt(weight @ (excess - mean) ** 2 + 0.5**2))
@@ -123,7 +124,8 @@ class HazardCorrection:
 
     def __call__(self, hazard: Array, reserve: Array) -> Array:
         """Return corrected hazards, shape (n, SPANS)."""
-        span, odds = np.broadcast_to(np.arange(SPANS), hazard.shape), _log_odds(hazard)
+        span = np.broadcast_to(np.arange(SPANS), hazard.shape)
+        odds = _log_odds(hazard)
         shift = _terms(span, reserve[:, None], odds)[..., : len(self.weights)] @ np.asarray(self.weights)
         return np.asarray(expit(odds + shift))
 

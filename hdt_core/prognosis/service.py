@@ -148,7 +148,8 @@ def promote(candidate: Card, in_service: Card | None, tolerance: float = 0.02) -
     if in_service is None or not in_service.get("scores"):
         return Verdict(True, "no scored model is in service")
     for name in ("interval_score_flights", "brier"):
-        candidate_score, service_score = candidate["scores"].get(name), in_service["scores"].get(name)
+        candidate_score = candidate["scores"].get(name)
+        service_score = in_service["scores"].get(name)
         if service_score is None:
             continue
         if candidate_score is None:
@@ -277,12 +278,14 @@ def _forecast(
             model = models.get(month) or assemble(base, folds[month], {component: fits[month][component]})
             parts.append(predict_by_fold(model, component, track, is_selected))
             predict = partial(predict_from, model, component, track, units)
-            loss, washes = level_of(track)[units], record.washes.get(component, NO_WASHES)
+            loss = level_of(track)[units]
+            washes = record.washes.get(component, NO_WASHES)
             choices.append(forecast_choices(track.keys[units], loss, component, washes, predict))
         old_keys = track.keys.filter(~is_new).select(*PACK, "flight_id", pl.lit(component).alias("component"))
         return pl.concat(parts), old_keys
 
-    all_lives, units = record.lives(), record.units()
+    all_lives = record.lives()
+    units = record.units()
     by_component = (predict_component(c, tracks(record.features, all_lives, c, units)) for c in PRIOR_RULES)
     predictions, old_keys = zip(*by_component, strict=True)
     models |= {month: assemble(base, folds[month], fits[month]) for month in tails}

@@ -61,7 +61,8 @@ def _tracks(past: pl.DataFrame) -> list[Array]:
 
 def _log_likelihood(loss: Array, law: WearLaw) -> float:
     """Compute the log likelihood of a life's losses, at a rate of its own, without its constant."""
-    grown, by_loss = law.grown(loss), law.slope(loss)
+    grown = law.grown(loss)
+    by_loss = law.slope(loss)
     flights = np.arange(len(loss), dtype=float)
     weight = 1.0 / by_loss
     fit = np.polynomial.polynomial.polyfit(flights, grown, 1, w=weight)

@@ -77,7 +77,8 @@ def _is_same() -> pl.Expr:
 
 def _lesser() -> pl.Expr:
     """Name the flight of a pair with fewer values; of equal ones that with the later day and leg."""
-    n, n_first = pl.col("n_values"), pl.col("n_values_first")
+    n = pl.col("n_values")
+    n_first = pl.col("n_values_first")
     first_is_later = pl.col("flight_id_first") > pl.col("flight_id")
     is_first = (n_first < n) | ((n_first == n) & first_is_later)
     return pl.when(is_first.fill_null(False)).then(pl.lit("first")).otherwise(pl.lit("second"))
@@ -85,7 +86,8 @@ def _lesser() -> pl.Expr:
 
 def _to_hold() -> pl.Expr:
     """Name the flight of a pair that contradicts its neighbours: first or second; null where neither does."""
-    displaced, displaced_first = pl.col("displaced"), pl.col("displaced_first")
+    displaced = pl.col("displaced")
+    displaced_first = pl.col("displaced_first")
     return (
         pl.when(displaced > displaced_first).then(pl.lit("second"))
         .when(displaced_first > displaced).then(pl.lit("first"))

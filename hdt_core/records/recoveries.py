@@ -60,7 +60,8 @@ def find_recoveries(loss: Array, loss_sd: Array) -> list[int]:
         Of a position's flights in order, NaN where unknown.
     """
     known_rows = np.flatnonzero(np.isfinite(loss) & np.isfinite(loss_sd))
-    level, sd = loss[known_rows], loss_sd[known_rows]
+    level = loss[known_rows]
+    sd = loss_sd[known_rows]
     before = np.maximum(np.arange(known_rows.size) - RECOVERY_FLIGHTS, 0)
     has_recovered = np.flatnonzero(is_recovery(level[before], sd[before], level, sd))
     is_first = np.diff(has_recovered, prepend=-np.inf) > 2 * RECOVERY_FLIGHTS
@@ -226,7 +227,8 @@ def _judge_aircraft(rows: pl.DataFrame, positions: dict[int, _Position]) -> list
 def _explain(entry: _Entry, place: _Position, recoveries: Sequence[int], verdict: str) -> None:
     """Let an entry explain the first of some recoveries."""
     for recovery in recoveries[:1]:
-        entry.recovery, entry.verdict = recovery, verdict
+        entry.recovery = recovery
+        entry.verdict = verdict
         entry.moved_to = place if verdict == ELSEWHERE else None
         place.unexplained.remove(recovery)
 

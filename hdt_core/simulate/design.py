@@ -225,7 +225,8 @@ def draw_schedule(rng: np.random.Generator, operator: Operator, flights: int) ->
 
 def snapshot_times(rng: np.random.Generator, schedule: Schedule) -> tuple[Array, Array]:
     """Draw flight and seconds after departure of each snapshot: dense in climb and descent."""
-    flight, times = [], []
+    flight = []
+    times = []
     for number, cruise_s in enumerate(schedule.cruise_s):
         climb = CLIMB_S * (np.arange(8) + rng.uniform(0.2, 0.8, 8)) / 8.0
         level = CLIMB_S + np.cumsum(rng.uniform(180.0, 600.0, int(cruise_s // 180.0) + 1))
@@ -241,7 +242,8 @@ def conditions(rng: np.random.Generator, schedule: Schedule, flight: Array, afte
 
     Before 0 s the aircraft taxies.
     """
-    cruise_s, top_m = schedule.cruise_s[flight], schedule.cruise_m[flight]
+    cruise_s = schedule.cruise_s[flight]
+    top_m = schedule.cruise_m[flight]
     climb = np.clip(after_s / CLIMB_S, 0.0, 1.0)
     descent = np.clip((after_s - CLIMB_S - cruise_s) / DESCENT_S, 0.0, 1.0)
     # air masses and the autopilot wander along the way: slow waves, so that 1 Hz rows stay smooth
@@ -250,7 +252,8 @@ def conditions(rng: np.random.Generator, schedule: Schedule, flight: Array, afte
     mach = 0.28 + (schedule.cruise_mach[flight] - 0.28) * np.clip(altitude_m / top_m, 0.0, 1.0) ** 0.75
     mach = mach + 0.002 * np.sin(after_s / 310.0 + 2.0 * wave)
     taxies = after_s < 0.0
-    altitude_m, mach = np.where(taxies, 0.0, altitude_m), np.where(taxies, TAXI_MACH, mach)
+    altitude_m = np.where(taxies, 0.0, altitude_m)
+    mach = np.where(taxies, TAXI_MACH, mach)
     phase = np.select([climb < 0.08, climb < 1.0, descent <= 0.0, descent < 0.85], [0, 1, 2, 3], 4)
     along_k = 1.5 * np.sin(after_s / 2400.0 + wave) - 1.5 * np.sin(wave)
     static_k = standard_temperature_k(altitude_m) + schedule.warmer_k[flight] + along_k

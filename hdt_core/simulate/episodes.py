@@ -231,7 +231,8 @@ def _observe(
     gain = rng.uniform(0.15, 0.6, units)
     flight = loss + settings.noise_sd * rng.standard_normal(loss.shape)
     filtered = np.empty_like(loss)
-    level, drift = flight[:, 0], settings.drift_sd * rng.standard_normal(units)
+    level = flight[:, 0]
+    drift = settings.drift_sd * rng.standard_normal(units)
     for k in range(loss.shape[1]):
         innovation = flight[:, k] - level
         # the twin's filter raises its gain at a clear step, so a clog isn't smeared over weeks

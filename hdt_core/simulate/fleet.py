@@ -85,7 +85,8 @@ def simulate_fleet(seed: int, settings: FleetSettings | None = None) -> Iterator
     """
     size = settings or FleetSettings()
     rng = np.random.default_rng(seed)
-    design, operators = draw_design(rng), draw_operators(rng, size)
+    design = draw_design(rng)
+    operators = draw_operators(rng, size)
     for number, draw in enumerate(operators):
         operator = draw if size.suite == "contract" else replace(draw, temperature_step_k=0.0, missing=())
         for place, tail in enumerate(operator.tails):
@@ -124,7 +125,9 @@ def _aircraft(
     air = record(rng, air_data(probe), plan.biases[0], operator.temperature_step_k, plan.suite)
     has_arrived = rng.random(size.flights) > 0.01
     log_flights = np.nonzero(has_arrived & (rng.random(size.flights) < size.cpl_share))[0]
-    rows, truth, book = [], [], LogWriter(plan)
+    rows = []
+    truth = []
+    book = LogWriter(plan)
     cpl: dict[str, list[pl.DataFrame]] = {}
     weather: dict[int, _Weather] = {}
     for pack in PACKS:
@@ -157,7 +160,8 @@ def _plan(rng: np.random.Generator, design: PackDesign, operator: Operator, tail
     schedule = draw_schedule(rng, operator, size.flights)
     start = datetime.fromisoformat(size.first_day).replace(tzinfo=UTC)
     ids = flight_ids(tail, start, schedule.departed_s)
-    biases, has_ram_out = draw_biases(rng), rng.random() < operator.ram_out_share
+    biases = draw_biases(rng)
+    has_ram_out = rng.random() < operator.ram_out_share
     return Plan(operator, design, tail, schedule, ids, start, biases, has_ram_out, SUITES[size.suite])
 
 

@@ -110,7 +110,8 @@ def outlets(
 
 def controlled_door(design: PackDesign, now: Conditions, demand: Demand, wear: ExchangerWear) -> Array:
     """Return the door position that holds the outlet at its target, or the nearer stop where none does."""
-    low, high = np.full_like(now.mach, design.door_least), np.full_like(now.mach, FULL_OPEN)
+    low = np.full_like(now.mach, design.door_least)
+    high = np.full_like(now.mach, FULL_OPEN)
     return bisect_door(lambda door: outlets(design, now, demand, door, wear)[0] > demand.target_k, low, high)
 
 
@@ -119,7 +120,8 @@ def bisect_door(too_hot: Callable[[Array], Array], low: Array, high: Array, step
     for _ in range(steps):
         door = 0.5 * (low + high)
         hot = too_hot(door)
-        low, high = np.where(hot, door, low), np.where(hot, high, door)
+        low = np.where(hot, door, low)
+        high = np.where(hot, high, door)
     return 0.5 * (low + high)
 
 
@@ -156,7 +158,9 @@ def loss_ratios(design: PackDesign, wear: ExchangerWear) -> tuple[Array, Array, 
     At the reference cruise and door; *apparent* assumes the clean core's ram flow.
     """
     ones = np.ones_like(wear.blockage)
-    now, demand, door = reference(ones), reference_demand(design, ones), ones * design.door_sizing
+    now = reference(ones)
+    demand = reference_demand(design, ones)
+    door = ones * design.door_sizing
     clean_wear = ExchangerWear(0.0 * ones, 0.0 * ones, 0.0 * ones, wear.unit_ua)
     hot_k, _, flow, ua = outlets(design, now, demand, door, wear)
     clean_hot_k, _, clean_flow, clean_ua = outlets(design, now, demand, door, clean_wear)

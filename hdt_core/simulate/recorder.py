@@ -259,7 +259,8 @@ class LogWriter:
     def _event_row(self, event: dict[str, Any], pack: int, loss: dict[str, Array]) -> dict[str, Any]:
         row: dict[str, Any] = {"operator": self._plan.operator.name, "tail": self._plan.tail, "pack": pack} | event
         if event["component"] in loss:
-            first, last = event["installed_index"], event["removal_index"] or self._plan.ids.size
+            first = event["installed_index"]
+            last = event["removal_index"] or self._plan.ids.size
             onsets = np.nonzero(loss[event["component"]][first:last] > ONSET_LOSS)[0]
             row["onset_index"] = first + int(onsets[0]) if onsets.size else None
         for name in ("onset", "message", "removal"):

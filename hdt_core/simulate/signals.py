@@ -94,14 +94,16 @@ def true_signals(
     wear = history.wear.at(now.flight)
     ice = history.icing[now.flight] & (now.altitude_m > 1200.0) & (now.altitude_m < 6500.0)
     wear = replace(wear, blockage=np.where(ice, 1.0 - 0.75 * (1.0 - wear.blockage), wear.blockage))
-    jam_position, reach = history.door_stuck[now.flight], history.door_reach[now.flight]
+    jam_position = history.door_stuck[now.flight]
+    reach = history.door_reach[now.flight]
     wobble = 0.004 * (rng.standard_normal(now.mach.size) if dt_s == 0.0 else np.sin(now.time_s / 37.0))
     command = np.clip(controlled_door(design, now, load, wear) + wobble, design.door_least, 1.0)
     door = np.where(np.isnan(jam_position), np.minimum(command, reach), jam_position)
     hot_k, ram_k, flow, ua = outlets(design, _gusty(rng, now, dt_s), load, door, wear)
     if dt_s > 0.0:
         settling_s = design.hx_core_heat_j_k / (0.9 * specific_heat_j_kg_k(load.hot_in_k) * (load.flow_kg_s + flow))
-        hot_k, ram_k = _lag(hot_k, settling_s, dt_s), _lag(ram_k, settling_s, dt_s)
+        hot_k = _lag(hot_k, settling_s, dt_s)
+        ram_k = _lag(ram_k, settling_s, dt_s)
     is_off = history.pack_off[now.flight]
     diameter, vda = _diameter(rng, design, now, history, dt_s)
     air = _compressor(design, now, diameter, history.cc_loss[now.flight])
@@ -213,7 +215,8 @@ def _wandering(white: Array, dt_s: float) -> Array:
 def _lag(steady: Array, settling_s: Array, dt_s: float) -> Array:
     """Apply a first-order lag, exact for a piecewise constant input."""
     out = np.empty_like(steady)
-    state, decay = float(steady[0]), np.exp(-dt_s / settling_s)
+    state = float(steady[0])
+    decay = np.exp(-dt_s / settling_s)
     for k in range(steady.size):
         state = float(steady[k] + (state - steady[k]) * decay[k])
         out[k] = state

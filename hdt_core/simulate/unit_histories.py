@@ -76,7 +76,8 @@ def draw_history(
         Conditions, and demand behind a sound compressor, in the middle of each flight's cruise, shape (flights,).
     """
     n = cruise.mach.size
-    zero, none = np.zeros(n), np.full(n, "", dtype="<U32")
+    zero = np.zeros(n)
+    none = np.full(n, "", dtype="<U32")
     history = PackHistory(
         zero.copy(), zero.copy(), zero.copy(), zero + 1.0, zero.copy(), zero.copy(), zero.astype(int), zero.astype(int),
         zero + np.nan, zero + 1.0, none.copy(), none.copy(), rng.random(n) < 0.004, rng.random(n) < 0.003,
@@ -106,7 +107,9 @@ def _exchangers(
     demand: Demand,
 ) -> None:
     """Write the lives of the exchangers of one pack."""
-    n, start, unit = h.blockage.size, 0, 0
+    n = h.blockage.size
+    start = 0
+    unit = 0
     while start < n:
         kind = _install(rng, h, operator, design=design, start=start, unit=unit)
         rest = np.arange(start, n)
@@ -134,7 +137,8 @@ def _exchangers(
         else:
             event |= {"removal_kind": "END", "censored": True, "removal_index": None, "finding": ""}
         h.events.append(event)
-        start, unit = end, unit + 1
+        start = end
+        unit = unit + 1
 
 
 def _install(
@@ -171,7 +175,9 @@ def _wash(rng: np.random.Generator, h: PackHistory, operator: Operator, start: i
 
 def _compressors(rng: np.random.Generator, h: PackHistory, design: PackDesign) -> None:
     """Write the lives of the compressors of one pack."""
-    n, start, unit = h.cc_loss.size, 0, 0
+    n = h.cc_loss.size
+    start = 0
+    unit = 0
     while start < n:
         is_worn = rng.random() < 0.3
         life = rng.uniform(180.0, 600.0) if is_worn else rng.uniform(3000.0, 9000.0)
@@ -192,7 +198,8 @@ def _compressors(rng: np.random.Generator, h: PackHistory, design: PackDesign) -
             _add_message(h, message, "21-51-CCFLOW")
             if end < n:
                 _log(rng, h, end, "CC", "REPLACED", "DAMAGED")
-        start, unit = end, unit + 1
+        start = end
+        unit = unit + 1
 
 
 def _door_faults(

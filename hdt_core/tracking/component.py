@@ -79,7 +79,8 @@ def track_component(
     """
     if flights.is_empty():
         raise ValueError(f"{component.model.name}: no flight to follow")
-    rows, offset = flights.sort(IN_ORDER), offset or DesignOffset()
+    rows = flights.sort(IN_ORDER)
+    offset = offset or DesignOffset()
     losses = (_loss(rows, param, component, offset) for param in component.model.free("health"))
     return join_tracks(track_loss(rows, maintenance, loss, previous, seal) for loss in losses)
 
@@ -117,7 +118,8 @@ def wear_settings(component: Component, param: Param, offset: DesignOffset) -> t
     paces = tuple(Pace(*(factors * pace).tolist()) for pace in PACES)
     known_sd = param.unit_sd if offset.unit_sd is None or param.name != component.loss else offset.unit_sd
     unit_sd = (UNIT_SD if known_sd is None else known_sd) / size
-    walk, entries = param.drift / size or WEAR_STEP, entry_classes(component.new_share)
+    walk = param.drift / size or WEAR_STEP
+    entries = entry_classes(component.new_share)
     washes = WASH_SHARE * (CLEANED in component.ended_by)
     return size, Settings(
         0.0, offset.sd / size, unit_sd, unit_sd, paces, walk, SUDDEN_LOSS, FAULT_CHANCE, washes, OFFSET_BIN, entries

@@ -182,7 +182,8 @@ def unit_health(
         Of `track_component`; without checkpoints where no flight calibrated the design.
     """
     steady = samples.filter("nominal").join(legs.filter(~pl.col("reason").is_in(NO_EVIDENCE)), on=LEG, how="semi")
-    health_names, method = _health_names(component), declared_estimator(component)
+    health_names = _health_names(component)
+    method = declared_estimator(component)
     flights = [flight_by_flight(samples.clear(), component.model, health_names)]
     tracks = []
     levels = clean_levels(design, component) if levels is None else levels.filter(component=component.code)
@@ -240,7 +241,8 @@ def health_by_prior(flights: pl.DataFrame, design_sd: float, component: Componen
         shared_sd = (1.0 - loss) * np.expm1(-design_sd) if param.is_share else design_sd
         weight = component.warn_loss**2 / (component.warn_loss**2 + sd**2 + shared_sd**2)
         weight = np.nan_to_num(np.where(flights["status"].is_in(WITHOUT_ESTIMATE), 0.0, weight))
-        value, value_sd = weight * np.nan_to_num(loss), component.warn_loss * np.sqrt(1.0 - weight)
+        value = weight * np.nan_to_num(loss)
+        value_sd = component.warn_loss * np.sqrt(1.0 - weight)
         names = (component.code, param.name, param.unit, component.estimator)
         rows.append(health_rows(flights, names, value, value_sd, pl.lit("prior_only")))
     return pl.concat(rows)

@@ -111,7 +111,8 @@ def track_loss(
 
 def loss_rows(flights: pl.DataFrame, loss: Loss, parameter: str, level: Array, sd: Array) -> pl.DataFrame:
     """Build the rows of a parameter from its ln loss and sd, in units of the loss's size."""
-    value, value_sd = loss.size * level, np.sqrt(sum(loss.more_variance, (loss.size * sd) ** 2))
+    value = loss.size * level
+    value_sd = np.sqrt(sum(loss.more_variance, (loss.size * sd) ** 2))
     if loss.param.is_share:
         value, value_sd = loss_of(value, value_sd)
     names = (loss.component.code, parameter, loss.param.unit, loss.parameters[parameter])
@@ -180,7 +181,8 @@ def _places(rows: Iterable[tuple[Any, ...]]) -> pl.DataFrame:
 def _rows(keys: list[tuple[Any, ...]], parts: list[Hypotheses]) -> pl.DataFrame:
     if not parts:
         return _EMPTY
-    b, counts = join(parts), [len(part.pack) for part in parts]
+    b = join(parts)
+    counts = [len(part.pack) for part in parts]
     columns: dict[str, Any] = {c: getattr(b, c) for c in LABELS}
     columns |= {"mean": b.mean.tolist(), "cov": b.cov.reshape(len(b.pack), STATES**2).tolist()}
     columns |= {"history": np.concatenate([np.arange(n) for n in counts])}
@@ -217,7 +219,8 @@ def fingerprints(panel: FlightPanel, inputs: list[Array], names: list[str], seal
         rows = panel.row[:n, pack]
         columns = [*(v[:n, pack] for v in panel.observations), *(values[rows] for values in inputs)]
         matrix = np.column_stack(columns).astype(float)
-        digest, pack_digests = hashlib.blake2b(seal.encode(), digest_size=10), []
+        digest = hashlib.blake2b(seal.encode(), digest_size=10)
+        pack_digests = []
         for first in range(0, n, segment):
             pack_digests.append(digest.copy().hexdigest())
             digest.update(matrix[first : first + segment].tobytes())

@@ -122,8 +122,10 @@ def start(settings: Settings) -> Hypotheses:
     """Build hypotheses about a pack before any flight: every pace with every wear at entry."""
     pairs = list(product(enumerate(settings.paces), settings.entries))
     n = len(pairs)
-    mean, cov = np.zeros((n, 5)), np.zeros((n, 5, 5))
-    weight, since = np.zeros(n), np.zeros(n, dtype=np.int64)
+    mean = np.zeros((n, 5))
+    cov = np.zeros((n, 5, 5))
+    weight = np.zeros(n)
+    since = np.zeros(n, dtype=np.int64)
     for row, ((_, pace), entry) in enumerate(pairs):
         weight[row] = np.log(pace.share * entry.share)
         mean[row, WEAR], cov[row, WEAR, WEAR] = entry.wear, entry.wear_sd**2
@@ -155,7 +157,8 @@ def prune(b: Hypotheses, offset_bin: float = np.inf) -> tuple[Hypotheses, Array]
     by_weight = np.lexsort((-few.log_weight, few.pack))
     place = np.arange(len(by_weight)) - np.searchsorted(few.pack[by_weight], few.pack[by_weight])
     heaviest = by_weight[place < MOST]
-    row_of_run, new_row = np.full(len(heads), -1), np.full(len(b.pack), -1)
+    row_of_run = np.full(len(heads), -1)
+    new_row = np.full(len(b.pack), -1)
     row_of_run[heaviest] = np.arange(len(heaviest))
     new_row[heavy[order]] = row_of_run[_runs(heads, len(order))]
     return normalise(few.at(heaviest)), new_row
@@ -195,8 +198,10 @@ def apply_log(b: Hypotheses, flight: Observation, settings: Settings) -> Hypothe
 
     The work may not have been done: then the core stays as it was, and the flights soon settle which.
     """
-    due, recent = flight.log_due > 0, b.since <= LATE_FLIGHTS
-    acts, missing = due & ~recent, b.unlogged & (b.since == LATE_FLIGHTS + 1) & (flight.log_kept > 0)
+    due = flight.log_due > 0
+    recent = b.since <= LATE_FLIGHTS
+    acts = due & ~recent
+    missing = b.unlogged & (b.since == LATE_FLIGHTS + 1) & (flight.log_kept > 0)
     weight = b.log_weight + np.where(acts, np.log(LOG_LATE), 0.0) + np.where(missing, np.log(NEVER_LOGGED), 0.0)
     b = b._replace(log_weight=weight, unlogged=b.unlogged & ~due & ~missing)
     if not acts.any():
@@ -214,12 +219,14 @@ def branch_on_surprise(
     A fault is the less likely the more of the ratio's sensors others vouch for: a step that they do not share is the
     core's.
     """
-    is_below, is_above = is_surprising & (residual < 0.0), is_surprising & (residual > 0.0)
+    is_below = is_surprising & (residual < 0.0)
+    is_above = is_surprising & (residual > 0.0)
     may_fault = is_surprising & ~b.faulty
     is_without_entry = is_above & (log_entry == NOTHING)
     fault = _add(b.at(may_fault), OTHER, 0.0, FAULT_SD)
     wash = _wash(b.at(log_entry == WASH), WASH_LEAVES, WASH_LEAVES_SD, settings)
-    worked_on, wash_share = b.at(is_without_entry), settings.wash_share
+    worked_on = b.at(is_without_entry)
+    wash_share = settings.wash_share
     unlogged = [_chance(unit, 1.0 - wash_share) for unit in _renew(worked_on, settings)]
     if wash_share:
         unlogged.append(_chance(_wash(worked_on, WASH_LEAVES, WASH_LEAVES_SD, settings), wash_share))
@@ -253,7 +260,9 @@ def _renew(b: Hypotheses, settings: Settings) -> list[Hypotheses]:
 
 def _reset(b: Hypotheses, states: dict[int, tuple[float, float]]) -> Hypotheses:
     """Replace some states by a mean and sd that do not depend on what was."""
-    mean, cov, retention = b.mean.copy(), b.cov.copy(), b.retention.copy()
+    mean = b.mean.copy()
+    cov = b.cov.copy()
+    retention = b.retention.copy()
     for i, (value, sd) in states.items():
         cov[:, i, :] = cov[:, :, i] = retention[:, i] = 0.0
         mean[:, i], cov[:, i, i] = value, sd**2
@@ -263,7 +272,8 @@ def _reset(b: Hypotheses, states: dict[int, tuple[float, float]]) -> Hypotheses:
 def _wash(b: Hypotheses, share: float, share_sd: float, settings: Settings) -> Hypotheses:
     """Keep part of the wear on the same unit, which may then wear at another rate."""
     retention = np.array([share, 1.0, 1.0, 1.0, 1.0])
-    mean, cov = b.mean * retention, b.cov * retention[:, None] * retention
+    mean = b.mean * retention
+    cov = b.cov * retention[:, None] * retention
     cov[:, WEAR, WEAR] += share_sd**2 * (b.mean[:, WEAR] ** 2 + b.cov[:, WEAR, WEAR])
     cov[:, RATE, RATE] += np.array([pace.rate_sd for pace in settings.paces])[b.pace] ** 2
     return b._replace(mean=mean, cov=cov, since=np.zeros_like(b.since), retention=b.retention * retention)
@@ -271,7 +281,8 @@ def _wash(b: Hypotheses, share: float, share_sd: float, settings: Settings) -> H
 
 def _add(b: Hypotheses, state: int, step: float, step_sd: float) -> Hypotheses:
     """Add a sudden step: a deposit or clog to the wear, a fault of door or sensor to what is not the core's."""
-    mean, cov = b.mean.copy(), b.cov.copy()
+    mean = b.mean.copy()
+    cov = b.cov.copy()
     mean[:, state] += step
     cov[:, state, state] += step_sd**2
     return b._replace(mean=mean, cov=cov)
@@ -284,7 +295,8 @@ def _end_fault(b: Hypotheses) -> Hypotheses:
 def step(hypotheses: Hypotheses, flight: Observation, settings: Settings) -> tuple[Hypotheses, Branching]:
     """Advance all packs by one flight; `flight` holds one entry a pack."""
     wear = np.bincount(hypotheses.pack, np.exp(hypotheses.log_weight) * hypotheses.mean[:, WEAR], len(flight.ratio))
-    flight, since = at_reference(flight, wear), hypotheses.since + 1
+    flight = at_reference(flight, wear)
+    since = hypotheses.since + 1
     belief = predict(hypotheses.belief, hypotheses.pace, since, hypotheses.faulty, settings)
     log_weight = hypotheses.log_weight + np.where(hypotheses.faulty, np.log1p(-CHANCE["fault_over"]), 0.0)
     identity = {"parent": np.arange(len(since)), "retention": np.ones_like(belief.mean)}

@@ -72,12 +72,14 @@ def sensor_shifts(
     has_left = ((off**2).sum(axis=1) > GATE_SD**2 * noise_var.sum()) & (size > LEAST_SHARE**2)
     loss = flights[component.loss].to_numpy()
     usual_rate = component.limit.mean / component.life_flights
-    shift, shift_sd = np.zeros(flights.height), np.zeros(flights.height)
+    shift = np.zeros(flights.height)
+    shift_sd = np.zeros(flights.height)
     onset = 0
     for k in np.flatnonzero(has_left):
         onset = onset if has_left[k - 1] else int(k)
         step, step_var = _step(loss, onset, int(k), usual_rate)
-        seen, seen_var = np.r_[off[k], step], np.r_[noise_var, step_var]
+        seen = np.r_[off[k], step]
+        seen_var = np.r_[noise_var, step_var]
         shift[k], shift_sd[k] = _attribute(evidence, seen, seen_var, max(float(size[k]), 1.0))
     return none.with_columns(sensor_shift=pl.Series(shift), sensor_shift_sd=pl.Series(shift_sd))
 
@@ -103,7 +105,8 @@ def _step(loss: Array, onset: int, now: int, usual_rate: float) -> tuple[float, 
     The running median tells a step half its length late; a sensor's error came then, and wear hardly did.
     """
     came = max(onset - SMOOTHED_FLIGHTS // 2, 1)
-    before, after = loss[max(came - USUAL_FLIGHTS, 0) : came], loss[came : min(now, onset + USUAL_FLIGHTS) + 1]
+    before = loss[max(came - USUAL_FLIGHTS, 0) : came]
+    after = loss[came : min(now, onset + USUAL_FLIGHTS) + 1]
     growth = usual_rate * 0.5 * (len(before) + len(after))
     scatter_var = (MAD_TO_SD * np.nanmedian(np.abs(np.diff(loss[: now + 1])))) ** 2 / 2.0
     variance = growth**2 + scatter_var * (median_error(float(len(before))) ** 2 + median_error(float(len(after))) ** 2)

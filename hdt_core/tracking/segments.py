@@ -103,7 +103,9 @@ def smooth(
 
 def _smooth_back(earlier: Hypotheses, branching: Branching, later: Hypotheses) -> Hypotheses:
     """Smooth `earlier` by `later`, one flight after it."""
-    parent, child, gain = branching.parent, branching.child, branching.gain
+    parent = branching.parent
+    child = branching.child
+    gain = branching.gain
     weight = np.exp(later.log_weight)[child] * branching.weight / np.bincount(child, branching.weight)[child]
     mean = earlier.mean[parent] + (gain @ (later.mean[child] - branching.mean)[:, :, None])[:, :, 0]
     cov = earlier.cov[parent] + gain @ (later.cov[child] - branching.cov) @ gain.mT
@@ -115,7 +117,8 @@ def _merge_branches(earlier: Hypotheses, parent: Array, weight: Array, mean: Arr
     total = np.zeros(len(earlier.pack))
     np.add.at(total, parent, weight)
     share = weight / np.maximum(total, LEAST_WEIGHT)[parent]
-    middle, covs = np.zeros_like(earlier.mean), np.zeros_like(earlier.cov)
+    middle = np.zeros_like(earlier.mean)
+    covs = np.zeros_like(earlier.cov)
     np.add.at(middle, parent, share[:, None] * mean)
     deviation = mean - middle[parent]
     np.add.at(covs, parent, share[:, None, None] * (cov + deviation[:, :, None] * deviation[:, None, :]))
@@ -144,7 +147,8 @@ def _filter_packs(
     panel: FlightPanel, settings: Settings, packs: Array, begin: Array, checkpoints: Checkpoints, result: SegmentResult
 ) -> None:
     """Filter and smooth some packs side by side, those with most flights left first; a pack without any drops out."""
-    first, remaining = begin[packs] * SEGMENT_FLIGHTS, panel.flights[packs] - begin[packs] * SEGMENT_FLIGHTS
+    first = begin[packs] * SEGMENT_FLIGHTS
+    remaining = panel.flights[packs] - begin[packs] * SEGMENT_FLIGHTS
     parts = [checkpoints[int(p), int(begin[p])] if begin[p] else start(settings) for p in packs]
     hypotheses = join([part._replace(pack=np.full(len(part.pack), i)) for i, part in enumerate(parts)])
     steps: list[tuple[Hypotheses, Branching]] = []
@@ -170,7 +174,8 @@ def _filter_packs(
 def wear_summary(hypotheses: Hypotheses, n: int, *, truncated: bool = True) -> tuple[Array, Array]:
     """Compute mean and sd of ln loss over the hypotheses of n packs; `truncated` below 0 or not. (n,) each"""
     weight = np.exp(hypotheses.log_weight)
-    mean, variance = hypotheses.mean[:, WEAR], hypotheses.cov[:, WEAR, WEAR]
+    mean = hypotheses.mean[:, WEAR]
+    variance = hypotheses.cov[:, WEAR, WEAR]
     if truncated:
         mean, variance = _above_zero(mean, np.sqrt(variance))
     middle = np.bincount(hypotheses.pack, weight * mean, n)

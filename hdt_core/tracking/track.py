@@ -62,7 +62,8 @@ def track(
     parts : Parts
         The pack's parts, each with the method that made the flight estimates.
     """
-    flights, seal = twin_flights.sort(IN_ORDER), f"{seal}|{dsm.dsm_version}"
+    flights = twin_flights.sort(IN_ORDER)
+    seal = f"{seal}|{dsm.dsm_version}"
     fouling = exchanger_loss(flights, corrections(flights), dsm, parts.exchanger)
     exchanger = track_loss(flights, maintenance, fouling, previous, seal)
     losses = [exchanger, *track_compressor(flights, maintenance, dsm, previous, seal, parts.compressor)]
@@ -74,7 +75,8 @@ def track(
 
 def _null_invalid(rows: pl.DataFrame) -> pl.DataFrame:
     """Null values and sds where either is not finite or the sd is negative; their status is `no_number`."""
-    value, sd = pl.col("value"), pl.col("sd")
+    value = pl.col("value")
+    sd = pl.col("sd")
     is_invalid = (~value.is_finite() | ~sd.is_finite() | (sd < 0)).fill_null(False)
     status = pl.when(is_invalid).then(pl.lit("no_number")).otherwise("status").alias("status")
     return rows.with_columns(pl.when(~is_invalid).then(value), pl.when(~is_invalid).then(sd), status)
@@ -94,7 +96,8 @@ def exchanger_loss(flights: pl.DataFrame, faults: Corrections, dsm: Dsm, part: C
         .otherwise("status")
     )  # fmt: skip
     settings = Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)
-    observations, more_variance = (ratio, variance, exposure), (map_sd**2, faults.variance)
+    observations = (ratio, variance, exposure)
+    more_variance = (map_sd**2, faults.variance)
     return Loss(part, part.model.param(part.loss), 1.0, settings, observations, status, more_variance, faults.unchecked)
 
 
@@ -121,12 +124,14 @@ def track_compressor(
     ):
         estimates = flights.select(PACK).with_columns(n=pl.Series(np.isfinite(ln_ratio)).cast(pl.Int32))
         has_begun = estimates.select(pl.col("n").cum_sum().over(PACK) > 0)[:, 0]
-        own, param = flights.filter(has_begun), part.model.param(name)
+        own = flights.filter(has_begun)
+        param = part.model.param(name)
         loss = _loss(own, component, param, ln_ratio[has_begun.to_numpy()], usual_sd)
         # the level's error is all machines' alike, and wear at entry was weighed in it: a pack's own must not shrink it
         loss = loss._replace(more_variance=(np.full(own.height, level_sd**2),))
         result = track_loss(own, maintenance, loss, previous, seal)
-        before, names = flights.filter(~has_begun), (part.code, name, param.unit, filtered(part.estimator))
+        before = flights.filter(~has_begun)
+        names = (part.code, name, param.unit, filtered(part.estimator))
         nothing = pl.Series([None] * before.height, dtype=pl.Float64)
         not_recorded = health_rows(before, names, nothing, nothing, pl.lit("not_recorded"))
         yield result._replace(health=pl.concat([not_recorded, result.health]))

@@ -167,13 +167,15 @@ def update(belief: Belief, flight: Observation, level: float) -> tuple[Belief, A
     """
     has_ratio = np.isfinite(flight.ratio)
     correction = compute_gain(belief, observe(flight, level), np.where(has_ratio, flight.ratio, level)[:, None])
-    residual, variance = correction.innovation[:, 0], 1.0 / correction.precision[:, 0, 0]
+    residual = correction.innovation[:, 0]
+    variance = 1.0 / correction.precision[:, 0, 0]
     log_regular = np.log1p(-OUTLIER_SHARE) + log_normal(residual, variance)
     log_outlier = np.log(OUTLIER_SHARE) + log_normal(residual, variance + OUTLIER_SD**2)
     evidence = np.logaddexp(log_regular, log_outlier)
     use = np.where(has_ratio, np.exp(log_regular - evidence), 0.0)
     updated = update_belief(belief, correction)
-    shift, share = updated.mean - belief.mean, use[:, None, None]
+    shift = updated.mean - belief.mean
+    share = use[:, None, None]
     spread_of_means = share * (1.0 - share) * shift[:, :, None] * shift[:, None, :]
     cov = share * updated.cov + (1.0 - share) * belief.cov + spread_of_means
     return Belief(belief.mean + use[:, None] * shift, cov), np.where(has_ratio, evidence, 0.0)

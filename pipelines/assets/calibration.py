@@ -57,7 +57,8 @@ def legs_admitted(
 @stage
 def calibration(home: Home) -> StageResult:
     """Estimate design parameters and nominal health of fleet, operator and tail from nominal legs."""
-    store, cells = home.store, baseline_cells(home.ledger)
+    store = home.store
+    cells = baseline_cells(home.ledger)
     samples = _of_cells(store, "legs_samples", cells, SAMPLE_COLUMNS, (*LEG, "time_utc", "source"))
     verdicts = _of_cells(store, "legs_verdicts", cells, ("*",), LEG)
     maintenance, messages, reports = (
@@ -68,7 +69,8 @@ def calibration(home: Home) -> StageResult:
     admitted = admit(baseline, verdicts, leg_indicators(samples, baseline), maintenance, messages)
     parts = parts_in_service(home, "design")
     dsm = calibrate(samples, admitted, maintenance, accepted_terms(Path(home.home)), parts)
-    text, status = json.dumps(dsm.to_dict()), dsm.exchanger_status
+    text = json.dumps(dsm.to_dict())
+    status = dsm.exchanger_status
     model = {"dsm_version": dsm.dsm_version, "model": text, "n_flights": dsm.n_flights, "status": status}
     estimates = of_each_aircraft(samples, lambda pack_samples: estimate_flights(pack_samples, dsm))
     plots = calibration_metadata(samples, estimates, maintenance, dsm)
@@ -120,7 +122,8 @@ def calibration_metadata(
     samples, twin_flights : DataFrame
         Of the baseline: samples of the leg filter, and their estimates by `estimate_flights`.
     """
-    audit, cruise = audit_drift(twin_flights, maintenance, dsm), _longest_cruise(samples)
+    audit = audit_drift(twin_flights, maintenance, dsm)
+    cruise = _longest_cruise(samples)
     own = twin_flights.join(cruise.select(FLIGHT_PACK).head(1), on=FLIGHT_PACK, validate="m:1")
     figures = {
         "figure_12": figure_12(twin_flights, dsm.compressor),

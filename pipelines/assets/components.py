@@ -76,7 +76,8 @@ def raw_components(scope: PartitionScope, home: Home) -> StageResult:
     intakes = read_components([replace(f, packs_stored=packs.get(f.path, 0)) for f in files], datetime.now(UTC))
     read_quarantine = pl.concat([NO_FAULTS, *(d.quarantine for _, d in intakes)])
     inputs_changed = register_unread(home.ledger, listing, present_files, read_quarantine)
-    present, with_rows = [f.path for f in files], [f.path for f, d in intakes if d.n_good]
+    present = [f.path for f in files]
+    with_rows = [f.path for f, d in intakes if d.n_good]
     empty = [path for path in present if path in packs and path not in with_rows]
     is_empty, is_replaced = (pl.col("file").is_in(paths) for paths in (empty, [p for p in present if p not in empty]))
     accounts = accounts.filter(~is_replaced).with_columns(
@@ -144,7 +145,9 @@ def track_components(
     code : str
         Version of the code; results under another are not used.
     """
-    tracks, readings, residuals = [], [], []
+    tracks = []
+    readings = []
+    residuals = []
     for component in in_service(signals, home, "health"):
         from hdt_core.tracking.component_units import unit_health  # loaded only where a component has a record
 

@@ -53,13 +53,15 @@ def prognosis(
     # margins have a table of their own, for they would be a fifth of the features
     features = health.join(margins, on=[*PACK, "flight_id"], how="left", validate="m:1").collect()
     stored = home.store.read_table("prognosis_model").sort("month")
-    candidate, in_service = load_base(prognosis_base["model"][0]), _model_in_service(stored, home.store)
+    candidate = load_base(prognosis_base["model"][0])
+    in_service = _model_in_service(stored, home.store)
     washes = _washes_on_record(features, features_components, features_work)
     record = FleetRecord(features, raw_messages, raw_maintenance, washes)
     update = update_model(candidate, in_service, record, _design(calibration_dsm, calibration_schedules))
     base = prognosis_base if not update.months or update.newest.model.hazard is candidate.hazard else stored
     lives = life_table(features, record.lives())
-    inputs, declared = (features_components, raw_messages, raw_maintenance), recorded_in(features_components)
+    inputs = (features_components, raw_messages, raw_maintenance)
+    declared = recorded_in(features_components)
     prognoses = conform_all("prognoses", [update.prognoses, *(component_prognoses(*inputs, c) for c in declared)])
     lives = conform_all("prognosis_lives", [lives, *(component_life_table(*inputs, c) for c in declared)])
     after_work = [component_choices(*inputs, c, washes.get(c.code, NO_WASHES)) for c in declared]

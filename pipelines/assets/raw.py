@@ -31,7 +31,9 @@ from pipelines.storage.cases import CaseLog, with_ids
 @stage
 def raw_fleet(home: Home) -> StageResult:
     """Read the fleet list, checks and costs, and account for files without a flight."""
-    landing, ledger, now = Path(home.landing), home.ledger, datetime.now(UTC)
+    landing = Path(home.landing)
+    ledger = home.ledger
+    now = datetime.now(UTC)
     stored = home.store.read_table("raw_fleet")
     listing = ledger.files(["fleet", "checks", WITHOUT_FLIGHT])
     files = landing_files(landing, listing)
@@ -115,7 +117,8 @@ def due_times(logs: _Logs) -> dict[str, datetime]:
 
 def _logs(files: list[LandingFile], stored: Mapping[str, pl.DataFrame]) -> _Logs:
     """Read messages and maintenance, one file an aircraft; packs already stored keep their numbers."""
-    logs, now = _Logs(), datetime.now(UTC)
+    logs = _Logs()
+    now = datetime.now(UTC)
     for file in (f for f in files if f.kind != REPORTS):
         own = stored[f"raw_{file.kind}"].filter(file=file.path)
         with_packs = replace(file, packs_stored=own.select(pl.col("pack").max()).item() or 0)
@@ -128,7 +131,8 @@ def _printed(files: list[LandingFile], listing: pl.DataFrame, stored: pl.DataFra
     version = pl.concat_str("digest", pl.lit(f".{LINEAGE['raw_reports'].code}")).alias("version")
     unread = listing.filter(pl.col("kind") == REPORTS).with_columns(version)
     unread = unread.join(stored.select(path="file", version="file_version"), on=["path", "version"], how="anti")
-    versions, now = dict(unread.select("path", "version").rows()), datetime.now(UTC)
+    versions = dict(unread.select("path", "version").rows())
+    now = datetime.now(UTC)
     if REPORTS not in readers():
         return []
     logs = [(f, readers()[REPORTS].read_printed(f, now, versions[f.path])) for f in files if f.path in versions]

@@ -103,7 +103,9 @@ def stage(fn: Callable[..., Frames]) -> dg.AssetsDefinition:
         with panics_as_errors():
             outcome = fn(**{p: resources[p] if p in resources else scope.read_table(home.store, p) for p in arguments})
         duration = {"seconds": round(time.monotonic() - start, 3)}
-        result, store, ledger = _as_stage_result(outcome), home.store, home.ledger
+        result = _as_stage_result(outcome)
+        store = home.store
+        ledger = home.ledger
         if result.inputs_changed:
             versions = scope.versions(ledger, declaration)
         set_aside = tables_set_aside(store, declaration.grain)

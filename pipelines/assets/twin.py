@@ -61,7 +61,8 @@ def twin_health(
     """
     stored = TrackResult(*(scope.read_table(home.store, table) for table in ("twin_health", "twin_checkpoints")))
     rows = raw_components.join(unused(record_held), on=FLIGHT, how="anti", maintain_order="left")
-    designs, code = (calibration_components, calibration_sisters), LINEAGE["twin_health"].code
+    designs = (calibration_components, calibration_sisters)
+    code = LINEAGE["twin_health"].code
     components, residuals = track_components(rows, legs_components, *designs, raw_maintenance, home, stored, code)
     tracks = [components]
     if twin_flights.height:
@@ -142,11 +143,13 @@ def features_alerts(
 
     Where an alert of the night before is another one now, the log of cases gets a line: its case goes on with that.
     """
-    limits, work = alert_limits(Path(home.home)), settled_log(raw_maintenance, features_work)
+    limits = alert_limits(Path(home.home))
+    work = settled_log(raw_maintenance, features_work)
     alerts = raise_alerts(features, work, limits)
     inputs = (features_components, work)
     others = (raise_component_alerts(*inputs, c, limits) for c in recorded_in(features_components))
-    now, before = conform_all("features_alerts", [alerts, *others]), scope.read_table(home.store, "features_alerts")
+    now = conform_all("features_alerts", [alerts, *others])
+    before = scope.read_table(home.store, "features_alerts")
     departures = pl.concat([features["departed_at"], features_components["departed_at"]])
     log = CaseLog(Path(home.home))
     for line in lines_of_night(case_lines(scope, home), before, now, departures):

@@ -41,7 +41,8 @@ def main() -> None:
             sys.exit(2)
         message = f"{error.format_message()} `{command} --help` lists its arguments and options."
     except StoppedError as stop:
-        message, code = "stopped", stop.code
+        message = "stopped"
+        code = stop.code
     except OSError as error:
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
     except Exception as error:

@@ -85,7 +85,8 @@ def _landing(landing: Path, home: Path | None) -> Iterator[Check]:
         yield Check("landing zone", False, fault)
         return
     listing = list_landing(landing)
-    files, refused = len(listing.files), listing.quarantine
+    files = len(listing.files)
+    refused = listing.quarantine
     message = f"{files} files to read, {refused.height} with unknown names"
     message += f": {'; '.join(ignored_entries(refused))}" if refused.height else ""
     well = files > 0 and refused.is_empty()
@@ -210,7 +211,8 @@ def _stored(home: Path) -> Iterator[Check]:
     if (home / "dagster").is_dir():
         fault = find_history_fault(home)
         yield Check("history", fault is None, f"{fault}; `hdt tidy` begins a new one" if fault else "ok")
-    store, seal = Store(home.resolve()), read_seal(home)
+    store = Store(home.resolve())
+    seal = read_seal(home)
     if not store.place.remote and (seal or (home / CATALOG).exists()):
         damaged = changed_files(store, seal, seal.files, whole=True) if seal else [NAME]
         message = (

@@ -48,9 +48,11 @@ def _status(home: Path) -> dict[str, Any]:
     from pipelines.storage.ledger import Ledger
     from pipelines.versions import expected_versions, stale_cells_of
 
-    ledger, assets = Ledger(home, read_only=True), {}
+    ledger = Ledger(home, read_only=True)
+    assets = {}
     for table in LINEAGE:
-        cells, waiting = expected_versions(ledger, table).height, stale_cells_of(ledger, [table]).height
+        cells = expected_versions(ledger, table).height
+        waiting = stale_cells_of(ledger, [table]).height
         assets[table] = {"cells": cells, "up_to_date": cells - waiting, "waiting": waiting}
     nights = ledger.nights().rows(named=True)
     good = [n for n in nights if n["failed"] == "{}"]
@@ -137,7 +139,8 @@ def explain(
     from pipelines.report.explain import explain as explanation_of
     from pipelines.words import use_language
 
-    where, pack = home_folder(home), " ".join(name)
+    where = home_folder(home)
+    pack = " ".join(name)
     with use_language(language):
         text = explanation_of(where, pack)
     if text is None:

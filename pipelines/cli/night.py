@@ -165,7 +165,8 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
     from pipelines.orchestration.around_night import lock_home, notify_failure, report_failure
     from pipelines.orchestration.nightly import complete_night
 
-    start_s, bars = time.monotonic(), Bars(quiet=as_json)
+    start_s = time.monotonic()
+    bars = Bars(quiet=as_json)
 
     def report_stop() -> None:
         bars.stop()
@@ -237,7 +238,8 @@ def _print_log_faults(home: Path) -> None:
     from pipelines.storage.catalog import connect
 
     with connect(home) as con:
-        refused, work_lines = refused_logs(con), judged_work_lines(con)
+        refused = refused_logs(con)
+        work_lines = judged_work_lines(con)
     for line in refused:
         err.print(f"refused: {line}", soft_wrap=True)
     for line in work_lines:
@@ -251,7 +253,8 @@ def _print_refusals(home: Path, files: frozenset[str]) -> None:
     from pipelines.storage.catalog import connect
 
     with connect(home) as con:
-        quarantined, silent = quarantine_line(con, files), silent_columns(con)
+        quarantined = quarantine_line(con, files)
+        silent = silent_columns(con)
         refused = file_lines(con, files, notes=False)
         noted = file_lines(con, files, notes=True)
         lines_of_held = held_lines(held_flights(con, HELD_GROUPS))

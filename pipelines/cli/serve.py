@@ -39,7 +39,8 @@ def serve(
     if not re.fullmatch(r"[A-Za-z0-9-]+", header):
         raise StopError(f"--header {header} is not a header's name")
     try:
-        people, sign_in = read_people(where), LocalToken(local_person(where), https)
+        people = read_people(where)
+        sign_in = LocalToken(local_person(where), https)
         behind = ProxyHeader(where, header, [ip_network(p) for p in proxy]) if proxy else None
     except ValueError as error:
         raise StopError(f"--proxy: {error}") from None
@@ -68,7 +69,8 @@ def ui(
     It shows the assets and run history that the other commands work on. With --launch it can start runs; the address
     it prints then holds the token to sign in with, a new one at each start.
     """
-    where, zone = home_folder(home, must_exist=False).resolve(), landing_folder(landing).resolve()
+    where = home_folder(home, must_exist=False).resolve()
+    zone = landing_folder(landing).resolve()
     try:
         from pipelines.web import page
     except ImportError:

@@ -39,7 +39,8 @@ def export(
     from pipelines.sharing import export as write
     from pipelines.storage.publication import views
 
-    where, names = home_folder(home), views()
+    where = home_folder(home)
+    names = views()
     if unknown_views := [v for v in view or () if v not in names]:
         raise StopError(f"no view {unknown_views[0]}; the catalog has {', '.join(sorted(names))}")
     if view and form == Format.duckdb:

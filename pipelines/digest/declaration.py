@@ -93,7 +93,8 @@ def _receiver(entry: dict[str, Any], where: str) -> Receiver:
     name = entry.get("name", "")
     if not isinstance(name, str) or not name or not name.isprintable():
         raise NotifyError(f"{where}: name is missing, or not a text of one line")
-    where, kind = f"{where} ({name})", entry.get("kind")
+    where = f"{where} ({name})"
+    kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise NotifyError(f"{where}: kind is {kind!r}; there are {', '.join(KINDS)}")
     defaults = KINDS[kind]
@@ -113,7 +114,8 @@ def _value(entry: dict[str, Any], key: str, default: Any, where: str) -> Any:
         if default is NO_DEFAULT:
             raise NotifyError(f"{where}: {key} is missing")
         return default
-    value, kind = entry[key], str if default is NO_DEFAULT else type(default)
+    value = entry[key]
+    kind = str if default is NO_DEFAULT else type(default)
     if not isinstance(value, kind) or isinstance(value, bool) or (kind is str and not value.isprintable()):
         shown = "" if key.startswith("url") else f" is {value!r} and"  # an address may hold a secret
         raise NotifyError(f"{where}: {key}{shown} ought to be {_TYPES[kind]}")

@@ -51,7 +51,8 @@ def send(receiver: Receiver, digest: Digest, name: str, home: Path) -> None:
     if receiver.kind == "file":
         _attempt(lambda: _write(home / receiver.settings["folder"], digest))
     elif receiver.kind == "mail":
-        user, password = receiver.secret("user_env"), receiver.secret("password_env")
+        user = receiver.secret("user_env")
+        password = receiver.secret("password_env")
         message = _message(receiver, digest, name)
         _attempt(lambda: _mail(receiver.settings, message, user, password), user, password)
     else:

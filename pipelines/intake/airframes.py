@@ -60,7 +60,8 @@ def find_airframes(lines: Sequence[FleetLine], apart: Iterable[Aircraft] = ()) -
     contradictions = {**_of_one_tail(lines), **_of_one_msn(lines, set(apart))}
     places = {place for pair in contradictions for place in pair}
     sound = [replace(line, msn=None) if i in places else line for i, line in enumerate(lines)]
-    keys, prefixes = [("", "")] * len(sound), [""] * len(sound)
+    keys = [("", "")] * len(sound)
+    prefixes = [""] * len(sound)
     numbers: dict[Aircraft, int] = {}
     for own in _by_airframe(sound):
         folder = sound[own[0]].folder
@@ -163,7 +164,8 @@ def _of_one_tail(lines: Sequence[FleetLine]) -> dict[tuple[int, int], str]:
     contradictions = {}
     ordered = sorted(range(len(lines)), key=lambda i: (lines[i].folder, _begin(lines[i])))
     for i, j in pairwise(ordered):
-        before, after = lines[i], lines[j]
+        before = lines[i]
+        after = lines[j]
         if before.folder != after.folder or (before.msn, before.type) == (after.msn, after.type):
             continue
         since = _takeover(before, after)
@@ -177,7 +179,8 @@ def _of_one_msn(lines: Sequence[FleetLine], apart: set[Aircraft]) -> dict[tuple[
     """Find lines that give one airframe two names on one day."""
     contradictions = {}
     for i, j in _successions(lines):
-        before, after = lines[i], lines[j]
+        before = lines[i]
+        after = lines[j]
         if before.valid_to and after.valid_from:
             contradictory = before.valid_to >= after.valid_from
         else:

@@ -118,7 +118,8 @@ def match_header(names_of_file: tuple[str, ...], contract: Contract) -> Header:
     two or more of the core are missing beside as many unknown names: then columns were renamed, and reading the others
     would lose a sensor silently.
     """
-    keys, optional = contract.keys, contract.optional
+    keys = contract.keys
+    optional = contract.optional
     contract_names = {*keys, *optional, *contract.extra}
     clean = [name.strip().strip('"').strip().lower() for name in names_of_file]
     names = tuple(name if name in contract_names else None for name in clean)

@@ -42,7 +42,8 @@ def read_components(files: Sequence[LandingFile], now: datetime) -> list[tuple[L
     by_file, stored_by_file = (frame.partition_by("index", as_dict=True) for frame in (rows, rows_to_store))
     results = []
     for i, (file, _) in enumerate(pairs):
-        own, own_stored = by_file.get((i,), rows.clear()), stored_by_file.get((i,), rows_to_store.clear())
+        own = by_file.get((i,), rows.clear())
+        own_stored = stored_by_file.get((i,), rows_to_store.clear())
         results.append((file, _intake_of(file, parts[i][1], own, own_stored, rows_to_store)))
     return results
 
@@ -108,7 +109,8 @@ def _reason(now: datetime, packs: int) -> pl.Expr:
 
 def _to_si(rows: pl.DataFrame, channels: Sequence[Channel]) -> tuple[pl.DataFrame, list[Fault]]:
     """Convert signals to SI, null where the value is impossible; a fault for each such value."""
-    columns, faults = [], []
+    columns = []
+    faults = []
     for channel in channels:
         values = rows[channel.column] if channel.column in rows.columns else pl.Series([None] * rows.height)
         value = values.cast(pl.Float64) * channel.scale + channel.offset

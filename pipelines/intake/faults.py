@@ -74,7 +74,8 @@ def quarantine(file: str, received_at: datetime | None, faults: Iterable[Fault])
     rows = []
     for f in faults:
         scope, sentence, _remedy = REASONS[f.reason]
-        detail, content = f"{sentence} {f.detail}".strip(), f.content and f.content[:500]
+        detail = f"{sentence} {f.detail}".strip()
+        content = f.content and f.content[:500]
         rows.append((file, f.row, f.column_name, f.reason, detail, scope, f.flight_id, received_at, f.n_rows, content))
     return pl.DataFrame(rows, schema=NO_FAULTS.schema, orient="row")
 

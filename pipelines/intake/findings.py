@@ -107,7 +107,8 @@ def _rows(
 
 
 def _check_general(general: Mapping[str, Any]) -> None:
-    days, currency = general["horizon_days"], general["currency"]
+    days = general["horizon_days"]
+    currency = general["currency"]
     if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= 366:
         raise CostError("horizon_days", f"is a whole number of days from 1 to 366, not {days!r:.40}")
     if not isinstance(currency, str) or not 1 <= len(currency) <= 8 or not currency.isprintable():

@@ -60,7 +60,8 @@ def ingest_flights(
     with_rows = rows.select(ACCOUNT).unique()
     received_at = {path: modified_at(ns) for path, ns in flight_files.select("path", "mtime_ns").iter_rows()}
     missing_rows, new_rows = compare_redelivery(rows, quarantine, *stored_rows.of_present_files(), received_at)
-    rows, quarantine = pl.concat([rows, missing_rows]), pl.concat([quarantine, new_rows])
+    rows = pl.concat([rows, missing_rows])
+    quarantine = pl.concat([quarantine, new_rows])
     result = merge_deliveries([rows, stored_rows.rows(with_rows)], received_at)
     merged_of_files = MergeResult(*(part.join(with_rows, on=ACCOUNT, how="semi") for part in result))
     account = _account(rows, quarantine, merged_of_files)

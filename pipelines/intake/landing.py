@@ -208,7 +208,8 @@ def reading_context(lines: FleetLines, operator: str, tail: str, place: str, rea
     It is recorded with the hash of each file, so a file is read again when this changes, and only then. Defaults (two
     packs, listed, the default record) are left out. `reader_version` is the version of the folder's reader.
     """
-    line, words = next(iter(lines.get((operator, tail), ())), None), list[str]()
+    line = next(iter(lines.get((operator, tail), ())), None)
+    words = list[str]()
     if line and line.packs != PACKS and place != REPORTS:
         words.append(f"packs={line.packs}")
     if line and line.delivered_on and place == MAINTENANCE:

@@ -205,7 +205,8 @@ def read_messages(file: LandingFile, now: datetime) -> FileIntake:
             return Fault("bad_pack", column_name="pack")
         if not re.fullmatch(r"[A-Z0-9][A-Z0-9-]{1,31}", words["code"], re.ASCII):
             return Fault("bad_code", column_name="code")
-        flight, text = words["flight_id"] or None, words["text"] or None
+        flight = words["flight_id"] or None
+        text = words["text"] or None
         return file.operator, file.tail, moment, flight, pack, words["code"], file.path, text
 
     contract = Contract(("message_time", "flight_id", "pack", "code"), ("text",))
@@ -221,11 +222,13 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     `done_on` may give a day or a time of day; `done_at` keeps the time. Work before the first stored flight counts as
     any other; work before the aircraft's delivery gets a note. Work that was not done by its `status` may lie ahead.
     """
-    delivered_on, early = file.delivered_on, list[date]()
+    delivered_on = file.delivered_on
+    early = list[date]()
     later = list[datetime]()
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
-        day, pack = moment.date() if moment else to_day(words["done_on"]), _number_up_to(file.packs, words["pack"])
+        day = moment.date() if moment else to_day(words["done_on"])
+        pack = _number_up_to(file.packs, words["pack"])
         status = words[STATUS].upper()
         ahead = timedelta(0) if status in DONE else FARTHEST
         latest = now + ahead
@@ -239,7 +242,8 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
         codes_agreed = {"component": COMPONENTS, "action": ACTIONS, "finding": ("", *FINDINGS)}
         if odd := [c for c, code in codes.items() if code not in codes_agreed[c]]:
             return Fault("bad_code", column_name=", ".join(odd))
-        finding, reference = codes["finding"] or None, words["reference"] or None
+        finding = codes["finding"] or None
+        reference = words["reference"] or None
         serials = (words[name] or None for name in SERIALS)
         return (file.operator, file.tail, day, pack, codes["component"], codes["action"], finding, reference, moment,
                 *serials, status or None, file.path)  # fmt: skip

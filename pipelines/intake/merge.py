@@ -54,7 +54,8 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
     rows = pl.concat(list(frames))
     has_rival = rows.select(pl.struct(KEY).is_duplicated()).to_series()
     rival_flights = rows.filter(has_rival).select(FLIGHT).unique()
-    single, contested = rows.join(rival_flights, on=FLIGHT, how="anti"), rows.join(rival_flights, on=FLIGHT, how="semi")
+    single = rows.join(rival_flights, on=FLIGHT, how="anti")
+    contested = rows.join(rival_flights, on=FLIGHT, how="semi")
     stored_rows, others = _choose(contested)
     duplicates_of_stored, differing = _compare(others, stored_rows)
     duplicates = duplicates_of_stored.group_by("file", "flight_id").agg(pl.len().cast(pl.Int64).alias("n_duplicate"))
@@ -127,7 +128,8 @@ def _compare(others: pl.DataFrame, stored_rows: pl.DataFrame) -> tuple[pl.DataFr
 
 def _agrees(column: str) -> pl.Expr:
     """Return whether a row's value is null or the stored one."""
-    value, winner = pl.col(column), pl.col(f"{column} stored")
+    value = pl.col(column)
+    winner = pl.col(f"{column} stored")
     close = value == winner
     if column in SI_NAMES:
         close = (value - winner).abs() <= SAME * pl.max_horizontal(value.abs(), winner.abs())
@@ -198,7 +200,8 @@ def compare_redelivery(
         whole, and what it lacks is quarantined. A note gives both counts.
     """
     replaced_rows = stored_quarantine.filter(pl.col("reason") == REPLACED_ROW)
-    before, now = count_rows(stored_rows, replaced_rows), count_rows(rows, quarantine_rows)
+    before = count_rows(stored_rows, replaced_rows)
+    now = count_rows(rows, quarantine_rows)
     fewer = before.join(now, on=ACCOUNT, suffix="_now", validate="m:1").filter(pl.col("n_now") < pl.col("n"))
     if fewer.is_empty():
         return rows.clear(), NO_FAULTS

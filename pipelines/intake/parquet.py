@@ -122,7 +122,8 @@ def _to_types(frame: pl.DataFrame, contract: Contract) -> tuple[pl.DataFrame, li
 
 def _to_polars_types(table: pa.Table, names: Sequence[str]) -> tuple[list[pa.ChunkedArray], list[Fault]]:
     """Convert times to UTC in microseconds and decimals to floats; a note where times have no zone."""
-    columns, notes = [], []
+    columns = []
+    notes = []
     for name, column in zip(names, table.columns, strict=True):
         if pa.types.is_timestamp(column.type):
             notes += [] if column.type.tz else [Fault("time_without_zone", column_name=name)]

@@ -122,8 +122,10 @@ def _row_faults(
     bad_rows, rest = first_and_rest(bad_rows, ["file_index", "_reason"], MAX_ROWS_LISTED)
     faults = []
     for row in bad_rows.iter_rows(named=True):
-        i, reason = row["file_index"], row.pop("_reason")
-        slip_columns, sentence = row.pop("_column_name"), row.pop("_sentence")
+        i = row["file_index"]
+        reason = row.pop("_reason")
+        slip_columns = row.pop("_column_name")
+        sentence = row.pop("_sentence")
         column = _COLUMN_OF.get(reason, slip_columns) or None
         value = row.get(column) if column else None
         value = f"{value:g}" if isinstance(value, float) else value

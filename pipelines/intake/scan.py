@@ -51,7 +51,9 @@ class Scan:
 
 def scan(landing: Path, ledger: Ledger) -> Scan:
     """Register new and changed files of the landing zone, with the flights of each."""
-    began_ns, listing, records = time.time_ns(), list_landing(landing, ledger), ledger.file_records()
+    began_ns = time.time_ns()
+    listing = list_landing(landing, ledger)
+    records = ledger.file_records()
     new = _new_files(listing.files, records, ledger)
     digests = {f.path: _digest(f) for f in new}
     flights = {f.path: _flights(f, digests) for f in new if f.kind in FLIGHT_FILES}

@@ -21,9 +21,12 @@ def write_fleet(folder: Path, seed: int, size: FleetSettings, form: str = "") ->
     history is one Parquet file a month, as an operator delivers its past. The truth is one row a flight and pack
     (`health`), a life or fault (`events`), a design value (`design`).
     """
-    landing, truth = folder / "landing", folder / "truth"
+    landing = folder / "landing"
+    truth = folder / "truth"
     _parquet(design_truth(seed), truth / "design.parquet")
-    tables, type_column, write = [], {}, None
+    tables = []
+    type_column = {}
+    write = None
     if form:
         name, write = readers()[RECORDER].install(landing, size.suite, form)
         type_column = {"type": pl.lit(name)}

@@ -122,7 +122,8 @@ def open_files(
     `table` is what is read of a recording: `pack`, or a component's code. With `only`, no other columns of Parquet
     files are read.
     """
-    open_files, frames = [], []
+    open_files = []
+    frames = []
     for i, file in enumerate(files):
         open_file, frame = _open(file, contract, table, only)
         open_files.append(open_file)

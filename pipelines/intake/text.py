@@ -126,7 +126,8 @@ def _complete_lines(lines: list[bytes], text: Text) -> tuple[list[bytes], int]:
     *complete, last = lines
     if not last.strip() or _is_complete(complete, last):
         return lines, 0
-    row, content = len(lines) + 1, _printable(last)
+    row = len(lines) + 1
+    content = _printable(last)
     text.faults.append(Fault("cut_short", row, detail="The last line has no end.", n_rows=1, content=content))
     return complete, 1
 
@@ -137,7 +138,8 @@ def _join_quoted(lines: Sequence[bytes], n_names: int) -> dict[int, bytes]:
     A record has several lines where a quoted field holds line breaks (RFC 4180, 2.6). A quote that is never closed, or
     not within `MAX_LINES_QUOTED`, spoils its own line alone.
     """
-    records, first = dict[int, bytes](), 0
+    records = dict[int, bytes]()
+    first = 0
     while first < len(lines):
         n_lines = 1
         if b'"' in lines[first]:
@@ -216,7 +218,9 @@ def _split_lines(
     names: tuple[str | None, ...], members: Sequence[int], texts: Sequence[Text], numbers: Collection[str]
 ) -> pl.DataFrame:
     """Split the lines of texts with one header into columns; a line that does not fit goes to its text's faults."""
-    indices, rows, csv_lines = list[int](), list[int](), list[bytes]()
+    indices = list[int]()
+    rows = list[int]()
+    csv_lines = list[bytes]()
     for i in members:
         faults = []
         for row, line in texts[i].lines.items():
@@ -229,7 +233,8 @@ def _split_lines(
                 faults.append(replace(result, row=row, n_rows=1, content=_printable(line)))
         texts[i].faults += _limit_rows(faults)
     place = pl.DataFrame({TEXT_INDEX: indices, "row": rows}, schema={TEXT_INDEX: pl.Int32, "row": pl.Int64})
-    columns, content = [name or f"_unknown_{k}" for k, name in enumerate(names)], b"\n".join(csv_lines)
+    columns = [name or f"_unknown_{k}" for k, name in enumerate(names)]
+    content = b"\n".join(csv_lines)
     try:
         frame = _read_csv(content, {c: pl.Float64() if c in numbers else pl.String() for c in columns})
     except pl.exceptions.PolarsError:  # not every number is one
@@ -253,7 +258,8 @@ def _as_csv(line: bytes, n_names: int) -> bytes | Fault:
             return Fault("bad_quoting")
         out = io.StringIO()
         csv.writer(out, lineterminator="\n").writerow(fields)
-        line, n_fields = out.getvalue().removesuffix("\n").encode(), len(fields)
+        line = out.getvalue().removesuffix("\n").encode()
+        n_fields = len(fields)
     return (
         line if n_fields == n_names else Fault("wrong_field_count", detail=f"It has {n_fields}, the header {n_names}.")
     )

@@ -179,7 +179,8 @@ def find_unit_slips(raw: pl.DataFrame) -> pl.DataFrame:
     rows = np.flatnonzero(np.isin(units, np.flatnonzero(_check_laws(columns, units).share.max(axis=0) >= BROKEN_SHARE)))
     if not rows.size:
         return _no_rows()
-    suspects, slips = _suspects(columns, units, rows), []
+    suspects = _suspects(columns, units, rows)
+    slips = []
     for change in CHANGES:
         is_explained = _explained_rows(change, suspects, flight_of)
         if is_explained.any():
@@ -205,7 +206,8 @@ class _Suspects(NamedTuple):
 
 
 def _suspects(columns: Columns, units: Index, rows: Index) -> _Suspects:
-    part, own = {name: values[rows] for name, values in columns.items()}, units[rows]
+    part = {name: values[rows] for name, values in columns.items()}
+    own = units[rows]
     return _Suspects(rows, part, own, _check_laws(part, own))
 
 
@@ -239,7 +241,9 @@ def _explained_rows(change: Change, suspects: _Suspects, flight_of: Index) -> Ma
     change must hold in all packs of the flight, since sensors fail singly; or, where a column has a partner that varies
     with it, must reduce the variation of the broken laws.
     """
-    columns, units, before = suspects.columns, suspects.units, suspects.check
+    columns = suspects.columns
+    units = suspects.units
+    before = suspects.check
     if all(np.isnan(columns[name]).all() for name in change.corrections):
         return np.zeros(len(units), bool)
     after = _check_laws(change.apply(columns), units)

@@ -107,7 +107,8 @@ class PartitionIndex:
         if grain == "fleet":
             return iter([PartitionBatch()])
         stretches_of = self._aircraft if grain == "aircraft" else self._flights
-        max_flights, flights = batch_factor * CELLS_A_RUN, self.count(grain, cells)
+        max_flights = batch_factor * CELLS_A_RUN
+        flights = self.count(grain, cells)
         runs = n_processes * max(1, math.ceil(flights / (n_processes * max_flights)))
         share = math.ceil(flights / runs)
         stretches = stretches_of(by_aircraft(cells), min(max_flights, share))
@@ -126,14 +127,17 @@ class PartitionIndex:
         place = {key: i for i, key in enumerate(self.flights)}
         aircraft = self.aircraft if ranges else []
         positions = [sorted(place[f] for f in self.flights_of.get(a, ()) if f in place) for a in aircraft]
-        pending, size = list[Cell](), 0
+        pending = list[Cell]()
+        size = 0
         for stretch in stretches:
             n_flights = len(stretch) if stretch[0][1] else len(self.flights_of.get(stretch[0][0], ()))
             full = size + n_flights > max_flights or size + n_flights / 2 > share
             if pending and (full or (ranges and not self._is_range([*pending, *stretch], positions, place))):
                 yield _batch(pending, place)
-                pending, size = [], 0
-            pending, size = pending + stretch, size + n_flights
+                pending = []
+                size = 0
+            pending = pending + stretch
+            size = size + n_flights
         if pending:
             yield _batch(pending, place)
 
@@ -151,7 +155,8 @@ class PartitionIndex:
 
     def _is_range(self, cells: list[Cell], positions: list[list[int]], place: dict[str, int]) -> bool:
         """Check that the cells are all flights from the first cell to the last."""
-        first, last = self.aircraft.index(cells[0][0]), self.aircraft.index(cells[-1][0])
+        first = self.aircraft.index(cells[0][0])
+        last = self.aircraft.index(cells[-1][0])
         if not cells[0][1]:
             return last - first == len(cells) - 1
         at = [place[f] for _, f in cells]

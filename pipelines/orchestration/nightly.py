@@ -148,7 +148,9 @@ def run_night(
     jobs : int
         Processes that may run in parallel where there is enough to do; 1 with a `parent_run`.
     """
-    ledger, store, start = Ledger(home), Store(home), _now()
+    ledger = Ledger(home)
+    store = Store(home)
+    start = _now()
     check_settings(home)
     with closing(LocalExecutor(landing, home, 1 if parent_run else jobs)) as executor:
         chain = _Chain(landing, home, ledger, progress, only, parent_run, executor)
@@ -241,10 +243,12 @@ class _Chain:
         as_ranges = self.executor.ranges
         index = self.runner.partition_index(None if as_ranges else stale_cells)
         flights = equivalent_flights(self.flights, index.count(step.grain, stale_cells))
-        batch_factor, n_processes = 1 if as_ranges else step.batch_factor, self.executor.process_count(flights)
+        batch_factor = 1 if as_ranges else step.batch_factor
+        n_processes = self.executor.process_count(flights)
         batches = list(index.batches(step.grain, stale_cells, batch_factor, n_processes, ranges=as_ranges))
         for result in self._make(tables, batches, step.label, flights):
-            self.runs, self.cells = self.runs + result.runs, self.cells + result.cells
+            self.runs = self.runs + result.runs
+            self.cells = self.cells + result.cells
             self.failed |= result.failed
             self.repairs += result.repairs
             self.progress.advance(result.cells)

@@ -138,7 +138,9 @@ class Runner:
 
         After `MAX_BISECTED` failing flights it stops: then flights are not the cause. Each reason is listed once.
         """
-        pending, runs, flights_of = [(batch, fault)], 0, dict[str, list[str]]()
+        pending = [(batch, fault)]
+        runs = 0
+        flights_of = dict[str, list[str]]()
         while pending:
             part, failure = pending.pop()
             halves = part.parts() if sum(map(len, flights_of.values())) < MAX_BISECTED else []
@@ -173,7 +175,8 @@ class Runner:
         """
         night = datetime.now(UTC) - timedelta(hours=12)  # named by the day on which it began, noon to noon
         step = {"hdt/step": f"{night:%Y-%m-%d} {label}"}
-        tags, selection = batch.tags() | NIGHT | {**self.by, **step}, job.asset_selection
+        tags = batch.tags() | NIGHT | {**self.by, **step}
+        selection = job.asset_selection
         origin = origins(job, LOCATION)
         return self.instance.create_run_for_job(job, tags=tags, asset_selection=selection, run_config=_QUIET, **origin)
 
@@ -207,7 +210,8 @@ class RemoteExecutor:
     ranges = True  # several machines want several runs, and a run's tags name a range
 
     def __init__(self, runner: Runner) -> None:
-        self.runner, self.instance = runner, runner.instance
+        self.runner = runner
+        self.instance = runner.instance
 
     def settle(self) -> None:
         """Wait for runs that a killed night had sent out, so that none is made twice; cancel those not started."""
@@ -235,8 +239,10 @@ class RemoteExecutor:
         A run that Dagster retries is tracked under its new id; one of several aircraft that failed for good is replaced
         by a run of each.
         """
-        job, unsent = self.runner.job(tables), deque(batches)
-        running, whole_batches = dict[str, PartitionBatch](), set(batches)
+        job = self.runner.job(tables)
+        unsent = deque(batches)
+        running = dict[str, PartitionBatch]()
+        whole_batches = set(batches)
         while unsent or running:
             while unsent and len(running) < AHEAD:
                 batch = unsent.popleft()
@@ -252,7 +258,8 @@ class RemoteExecutor:
                 repairs: tuple[str, ...] = ()
                 if failure and len(batch.aircraft) > 1:
                     unsent.extend(batch.parts())
-                    repairs, failure = split_message(label, batch, failure), None
+                    repairs = split_message(label, batch, failure)
+                    failure = None
                 cells = batch.size if batch in whole_batches else 0  # cells of parts were counted with the whole batch
                 yield BatchResult(cells, 1, {f"{label}: {batch.label}": failure} if failure else {}, repairs)
             time.sleep(LOOK_S)

@@ -139,7 +139,9 @@ def _alert_lines(a: Row) -> list[str]:
     """Describe an alert: its state, its evidence when raised and now, and what to do."""
     is_closed = a["closed_at"] is not None
     state = _("closed {time}", time=words.clock(a["closed_at"])) if is_closed else words.urgency(a)
-    same, severity, at_first = a["evidence"] == a["evidence_now"], a["severity"], a["raised_severity"]
+    same = a["evidence"] == a["evidence_now"]
+    severity = a["severity"]
+    at_first = a["raised_severity"]
     then = words.tidy(a["evidence"]) if same else words.finding(a["evidence"])
     now = _("unchanged.") if same else _numbers(a, "now") + words.tidy(a["evidence_now"])
     at_last = _("At its end") if is_closed else _("Now")

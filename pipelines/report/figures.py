@@ -71,9 +71,11 @@ def effective_diameter(facts: Facts) -> Figure:
     rows = _nominal(facts, "vda_counts", "diameter_m")
     if not rows.height:
         return _figure(title, _("No nominal flight has exit pressure, speed and diffuser position."))
-    fit, caption = facts.dsm.compressor if facts.dsm else None, [_count(rows)]
+    fit = facts.dsm.compressor if facts.dsm else None
+    caption = [_count(rows)]
     if fit:
-        at_zero, by = quantity(1e3 * fit.intercept_m, "mm", 1), quantity(1e5 * fit.slope_m_per_count, "mm", 3)
+        at_zero = quantity(1e3 * fit.intercept_m, "mm", 1)
+        by = quantity(1e5 * fit.slope_m_per_count, "mm", 3)
         line = html_text(
             "Line: equation (6) re-estimated, {at_zero} and {by} a hundred counts.", at_zero=at_zero, by=by
         )

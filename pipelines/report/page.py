@@ -49,7 +49,8 @@ def page(
     fouling_limit: float = Limits().fouling,
 ) -> str:
     """Render the document in `units` (of `units.SYSTEMS`), with rows of `thresholds` and the home's `limits`."""
-    script, until = (resources.files("pipelines.report") / "page.js").read_text(encoding="utf-8"), facts.until()
+    script = (resources.files("pipelines.report") / "page.js").read_text(encoding="utf-8")
+    until = facts.until()
     return render(
         "report.html",
         title=_("Fleet health") + (f", {until:%Y-%m-%d}" if until else ""),
@@ -73,7 +74,8 @@ def page(
 
 def _alerts(facts: Facts) -> dict[str, Any]:
     """Return the alerts closed lately, and the number of older ones and of all."""
-    rows, until = facts["alerts"], facts.until()
+    rows = facts["alerts"]
+    until = facts.until()
     closed = rows.filter(pl.col("closed_at").is_not_null())
     late = closed.filter(pl.col("closed_at") >= until - timedelta(days=CLOSED_DAYS)) if until else closed
     return {
@@ -168,7 +170,9 @@ def _outcome(con: duckdb.DuckDBPyConnection, t: Trial) -> Row:
 
 def _definitions_over_alerts() -> dict[str, str]:
     """Return the outcome views and those they read over the alerts, in order of dependence; other sources stay rows."""
-    definitions, over_alerts, needed = views(), {ALERTS}, set(OUTCOME_VIEWS)
+    definitions = views()
+    over_alerts = {ALERTS}
+    needed = set(OUTCOME_VIEWS)
     sources = {name: set(read_header(sql).sources) for name, sql in definitions.items()}
     for name in definitions:
         if sources[name] & over_alerts:

@@ -149,7 +149,8 @@ def as_png(figure: "Figure") -> str:
     """Encode a figure as the address of a PNG image, in few colours to stay small."""
     from PIL import Image
 
-    image, small = io.BytesIO(), io.BytesIO()
+    image = io.BytesIO()
+    small = io.BytesIO()
     figure.savefig(image, format="png", dpi=DPI)
     Image.open(image).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(
         small, format="png", optimize=True
@@ -196,7 +197,8 @@ def around_replacement(flights: pl.DataFrame, maintenance: pl.DataFrame) -> tupl
             pl.col("n").is_between(-FLIGHTS_BEFORE, FLIGHTS_AFTER)
         )
         level = pl.col("ua_share").log().median()
-        after, last = rows.filter(pl.col("n") >= 0).select(level), rows.filter(pl.col("n") < 0).tail(20).select(level)
+        after = rows.filter(pl.col("n") >= 0).select(level)
+        last = rows.filter(pl.col("n") < 0).tail(20).select(level)
         gain = after.item() - last.item() if after.item() is not None and last.item() is not None else None
         if gain is not None and rows.filter(pl.col("n") < 0).height >= 20 and (best is None or gain > best[0]):
             best = gain, w, rows

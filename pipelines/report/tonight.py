@@ -153,7 +153,8 @@ STATUSES = {
 
 def tonight_with_cards(facts: Facts, fouling_limit: float) -> Row:
     """Return the table of `tonight`, the card of each of its rows, and how often alerts of each kind were right."""
-    charts, fleet = tracks(facts), fleet_band(facts)
+    charts = tracks(facts)
+    fleet = fleet_band(facts)
     table = tonight(facts, charts, fouling_limit)
     return table | {
         "cards": [_card(facts, row, charts, fleet) for row in (*table["rows"], *table["rest"])],
@@ -196,7 +197,8 @@ def _case_lines(case: Row) -> list[str]:
     state = words.case_state({"case_state": case["state"], **case})
     lines = [_("Case: {state}.", state=state)] if state else []
     if case["finding"]:
-        finding, on = case["finding"].lower().replace("_", " "), words.day(case["found_on"])
+        finding = case["finding"].lower().replace("_", " ")
+        on = words.day(case["found_on"])
         lines.append(_("{who} on {day}: {finding}.", who=case["found_by"], day=on, finding=_(finding)))
     return lines
 
@@ -215,7 +217,8 @@ def _due_lines(due: Row) -> list[str]:
     if due["status"] == "beyond_horizon":
         days = number(due["days_left"])
         return [_("More than {days} days to the message, at {rate} flights a day.", days=days, rate=rate)]
-    low, high = number(due["days_left_low"]), due["days_left_high"]
+    low = number(due["days_left_low"])
+    high = due["days_left_high"]
     values = {"days": number(due["days_left"]), "low": low, "rate": rate, "day": words.day(due["due_on"])}
     if high is None:
         line = _("About {days} days to the message ({low} or more), {day}, at {rate} flights a day.", **values)

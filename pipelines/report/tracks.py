@@ -58,7 +58,8 @@ def tracks(facts: Facts) -> dict[str, Row]:
     charts: dict[str, Row] = {}
     packs: dict[tuple[Any, ...], list[str]] = {}
     for row in (unit.values for unit in facts.rows):
-        key, card = words.unit_key(row), card_id(row)
+        key = words.unit_key(row)
+        card = card_id(row)
         parts = {name: facts.of_pack(name, *key) for name in ("health", "alerts", "maintenance", "messages")}
         if row["component"]:
             losses = facts.of_pack("component_losses", *key).filter(component=row["component"])
@@ -106,7 +107,8 @@ def _fan(outlook: Row, now: int, loss: float) -> Row:
     Flights are converted to days at the aircraft's rate. The aircraft raises its message at a loss that differs between
     flights and units; the level is the usual one.
     """
-    per_day, ends = outlook["flights_per_day"], [outlook[k] for k in ("rul_low", "rul_flights", "rul_high")]
+    per_day = outlook["flights_per_day"]
+    ends = [outlook[k] for k in ("rul_low", "rul_flights", "rul_high")]
     if per_day is None or None in ends:
         return {}
     low, median, high = (round(now + n * DAY_MS / per_day) for n in ends)
@@ -216,7 +218,9 @@ def drawing(tracks: Mapping[str, Row], name: str, fleet: Row, limit: float) -> R
     raises an alert.
     """
     track = tracks[name]
-    frame, own, fan = Frame(track["x"], track["y"]), track["own"], track["fan"]
+    frame = Frame(track["x"], track["y"])
+    own = track["own"]
+    fan = track["fan"]
     lines = {"other": tracks[track["other"]]["own"] if "other" in track else {}, "cc": track["cc"], "own": own}
     points = {k: list(zip(c.get("x", ()), c.get("y", ()), strict=True)) for k, c in lines.items()}
     points["median"] = fan.get("median", [])

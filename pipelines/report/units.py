@@ -41,7 +41,8 @@ def to_us(value: float, unit: str) -> tuple[float, str]:
 
 def both(si: Any, us: Any) -> Markup:
     """Write a text in both systems of units; the page shows one of them."""
-    one, other = escape(si), escape(us)
+    one = escape(si)
+    other = escape(us)
     return one if one == other else Markup('<span class="si">{}</span><span class="us">{}</span>').format(one, other)
 
 
@@ -63,7 +64,8 @@ def estimate(value: float | None, sd: float | None, unit: str) -> Markup:
         return escape(figures(None))
     unit, at, condition = visible(unit).partition(" at ")
     ends = [value] if sd is None else [value, value - Z_90 * sd, value + Z_90 * sd]
-    us, name = [to_us(v, unit)[0] for v in ends], to_us(0.0, unit)[1]
+    us = [to_us(v, unit)[0] for v in ends]
+    name = to_us(0.0, unit)[1]
     return both(_estimate(ends, unit), _estimate(us, name)) + in_words(at + condition)
 
 
@@ -77,7 +79,8 @@ def _estimate(ends: list[float], unit: str) -> str:
 
 def in_words(text: str) -> Markup:
     """Write the quantities in a text in both systems; a temperature in K is a difference."""
-    parts, last = [], 0
+    parts = []
+    last = 0
     for match in _IN_WORDS.finditer(text):
         parts += [escape(text[last : match.start()]), both(match[0], _us_text(*match.groups()))]
         last = match.end()

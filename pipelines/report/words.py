@@ -158,7 +158,9 @@ def message_on_record(row: Row) -> str:
     """
     if row.get("message_at") is None:
         return ""
-    n, flown, since = row["message_flights"], row["message_flown"], day(row["message_at"])
+    n = row["message_flights"]
+    flown = row["message_flown"]
+    since = day(row["message_at"])
     if n == 1:
         return _("message raised on {day}, not answered", day=since)
     if n >= flown:

@@ -128,7 +128,8 @@ class CaseLog:
 
     def entries(self) -> pl.DataFrame:
         """Read all lines as rows of `raw_cases`, in order."""
-        rows, schema = self._lines(), TABLES["raw_cases"].schema
+        rows = self._lines()
+        schema = TABLES["raw_cases"].schema
         if not rows:
             return schema.create_empty()
         frame = pl.DataFrame(rows, infer_schema_length=None)
@@ -148,7 +149,8 @@ class CaseLog:
         """
         if damage := self._damage():
             return damage
-        own, stored_rows = self.entries(), with_ids(stored)
+        own = self.entries()
+        stored_rows = with_ids(stored)
         n_missing = stored_rows.join(own, on="id", how="anti").height
         if n_missing:
             return f"lacks {n_missing} lines that the tables hold" if own.height else "is gone"
@@ -178,10 +180,12 @@ class CaseLog:
         str or None
             The fault and what became of it, in words; None where there was none.
         """
-        fault, path = self.fault(stored), self.home / FILE
+        fault = self.fault(stored)
+        path = self.home / FILE
         if fault is None:
             return None
-        rescued, is_damaged = self._readable_lines(), self._damage() is not None
+        rescued = self._readable_lines()
+        is_damaged = self._damage() is not None
         if is_damaged:
             path.rename(path.with_name(f"{FILE}.damaged"))
             fault = f"{fault} ({FILE}.damaged)"

@@ -141,7 +141,8 @@ class _VerifiedCatalog:
 
     def _verify(self, query: str) -> None:
         """Raise where a file that a statement may read is damaged."""
-        names, more = set[str](), _names(query)
+        names = set[str]()
+        more = _names(query)
         while more:
             names |= more
             more = set[str]().union(*(self._views[name] for name in more & self._views.keys())) - names

@@ -251,7 +251,8 @@ def _run(path: Path, mode: str, query: Callable[[sqlite3.Connection], Result]) -
 
 def _stamp(path: Path) -> tuple[int, int, bool]:
     """Return size and time, which change with every commit, and whether a writer's log is in use."""
-    stat, log = path.stat(), path.with_name(f"{path.name}-wal")
+    stat = path.stat()
+    log = path.with_name(f"{path.name}-wal")
     try:
         log_in_use = log.stat().st_size > 0
     except FileNotFoundError:  # none, or its writer has just removed it

@@ -139,7 +139,8 @@ class Deltas:
 
     def _take(self, table: str) -> _OpenTable:
         """Take the current table out of the cache, for one writer alone: a commit advances it under its readers."""
-        entry, newest = _open_tables(self.place.url).pop(table, None), self._newest_commit(table)
+        entry = _open_tables(self.place.url).pop(table, None)
+        newest = self._newest_commit(table)
         return entry if entry and entry.commit == newest else self._opened(table, self.open(table), newest)
 
     def _newest_commit(self, table: str) -> Commit | None:
@@ -202,7 +203,9 @@ class Deltas:
 
     def remove_files(self, table: str, files: Iterable[str]) -> None:
         """Remove damaged files from the table."""
-        log, names, now_ms = self.open(table), set(files), _now_ms()
+        log = self.open(table)
+        names = set(files)
+        now_ms = _now_ms()
         if log is not None and (current := names & set(shards_of(log).values())):
             self._commit(table, log, _CommitContent([], [], [RemoveAction(f, True, now_ms) for f in sorted(current)]))
 
@@ -227,7 +230,9 @@ class Deltas:
         self, table: str, shards: Iterable[tuple[str, pl.DataFrame | None]], files: Mapping[str, str]
     ) -> _CommitContent:
         """Write the changed shards of a table, one after the other; a commit is yet to name their files."""
-        content, fields, now_ms = _CommitContent([], [], []), dict[str, Field](), _now_ms()
+        content = _CommitContent([], [], [])
+        fields = dict[str, Field]()
+        now_ms = _now_ms()
         for shard, frame in shards:
             name = files.get(shard)
             if frame is not None:

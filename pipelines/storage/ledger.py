@@ -173,7 +173,8 @@ class Ledger:
         assigned to it: its stored rows stay, and are accounted for even where a killed night got no further. A cell
         that a file has left for that of another airframe stays, without a file, and is made once more: without rows.
         """
-        rows, moves = list(files), list(moves)
+        rows = list(files)
+        moves = list(moves)
         with self._write(settled=True) as con:
             con.executemany(_SET_FILE, rows)
             con.executemany(_SET_TOUCHED, list(touch_times_ns))

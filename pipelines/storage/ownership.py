@@ -38,7 +38,8 @@ def select_rows(table: str, columns: Sequence[str], operator: str, names: Sequen
     names : sequence of Name
         Those of the home.
     """
-    own, owner = quote(operator), "t.operator"
+    own = quote(operator)
+    owner = "t.operator"
     source = f"tables.{table} as t"
     if "file" in columns:  # files refused before their operator was known lie in its folder
         owner = f"coalesce(case when contains(t.file, '/') then split_part(t.file, '/', 1) end, {owner})"

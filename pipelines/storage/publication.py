@@ -374,7 +374,8 @@ def find_catalog_fault(home: Path) -> str | None:
 
 def find_staleness(home: Path) -> str | None:
     """Compare the catalog with the ledger and the tables; in words why it is not theirs, None where it is."""
-    ledger, store = Ledger(home, read_only=True), Store(home.resolve())
+    ledger = Ledger(home, read_only=True)
+    store = Store(home.resolve())
     with open_catalog(home) as con:
         night = nights_of(con)[0]
         files = {path for (path,) in con.execute("select path from tables.files").fetchall()}

@@ -58,7 +58,8 @@ def write_seal(store: Store, tables: Mapping[str, Iterable[str]]) -> None:
     """
     if store.place.remote:
         return
-    root, last_seal = Path(store.place.url), read_seal(store.home)
+    root = Path(store.place.url)
+    last_seal = read_seal(store.home)
     old = last_seal.files if last_seal else {}
     entries = (f for f in files_below(root) if not f.name.startswith(".") and f.name != HINT)
     stats = {f.path.removeprefix(f"{root}/"): f.stat() for f in entries}
@@ -143,7 +144,8 @@ def is_log(path: str) -> bool:
 
 def copy_ledger(ledger: Ledger, *, idle: bool = False) -> None:
     """Copy the ledger and write its hash; after an `idle` night an existing copy will do."""
-    path, hash_file = ledger.home / FILE, ledger.home / HASH_FILE
+    path = ledger.home / FILE
+    hash_file = ledger.home / HASH_FILE
     if ledger.url or not path.exists():
         return
     hash_file.write_text("")  # every writer removes it; empty, after a kill, it counts as none
@@ -169,7 +171,8 @@ def _write_hash(home: Path, hash_: str) -> None:
 
 def find_ledger_fault(ledger: Ledger) -> str | None:
     """Check the ledger; the fault in words, None where it is whole or where there is none yet."""
-    path, copies = ledger.home / FILE, _copies(ledger.home)
+    path = ledger.home / FILE
+    copies = _copies(ledger.home)
     if ledger.url or not (path.exists() or copies):
         return None
     if not path.exists():

@@ -154,7 +154,8 @@ def chosen_methods(home: Path) -> dict[str, Methods]:
     from hdt_core.estimation import estimators
 
     try:
-        declared, methods = components(), estimators()
+        declared = components()
+        methods = estimators()
     except ValueError as error:
         raise StoreError(f"{file}: {error}") from None
     chosen = {}
@@ -237,7 +238,8 @@ def retention(home: Path) -> Retention:
     """Read the retention that the home declares."""
     file = home / "retention.toml"
     values = read_values(file, ("keep_days", "hold"))
-    days, nights = values.get("keep_days", 30), values.get("hold", [])
+    days = values.get("keep_days", 30)
+    nights = values.get("hold", [])
     if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= MAX_DAYS:
         raise StoreError(f"{file}: keep_days is {days!r:.40} and ought to be a whole number from 1 to {MAX_DAYS}")
     prefixes = [night_prefix(str(n)) for n in nights] if isinstance(nights, list) else [None]

@@ -38,7 +38,8 @@ def live_select(table: str) -> str:
 
 def store_since(con: duckdb.DuckDBPyConnection, log: CaseLog) -> None:
     """Store the rows that follow from the lines since the night in a catalog, and the version of the log."""
-    version, entries = log.version(), log.entries()
+    version = log.version()
+    entries = log.entries()
     new_lines = entries.join(with_ids(_of_night(con, "raw_cases")), on="id", how="anti")
     cases = entries.join(new_lines, on=AIRCRAFT, how="semi", maintain_order="left")
     log_then, alerts_then = (

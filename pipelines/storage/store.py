@@ -85,7 +85,8 @@ class Store:
 
     def replace(self, table: str, aircraft: Iterable[Aircraft], frame: pl.DataFrame) -> None:
         """Replace all rows of these aircraft, or of the `FLEET`, by `frame`; no rows make no shard."""
-        entry, owners = TABLES[table], list(aircraft)
+        entry = TABLES[table]
+        owners = list(aircraft)
         frame = entry.conform(frame).sort(entry.key)
         if owners != [FLEET]:
             _refuse_others(table, frame, pl.DataFrame(owners, schema=_AIRCRAFT, orient="row"))
@@ -220,7 +221,8 @@ def _targets(
     """Map shards to write to the months (or flights, where a shard is one) whose rows they will hold."""
     names = {s.removeprefix(f"{folder}/") for s in stored}
     months = sorted(name for name in names.union(fresh) if _MONTH.fullmatch(name))
-    old, targets = set(months[:-OPEN]), dict[str, list[str]]()
+    old = set(months[:-OPEN])
+    targets = dict[str, list[str]]()
     for name in sorted(old.union(names_to_write)):
         year = _year(name)
         is_folded = name not in names and year in names and _holds(entry, shards[f"{folder}/{year}"], name)

@@ -112,11 +112,13 @@ class Casebook:
     """
 
     def __init__(self, home: Path, with_logout: bool) -> None:
-        self.home, self.with_logout = home, with_logout
+        self.home = home
+        self.with_logout = with_logout
 
     async def list(self, request: Request) -> Response:
         """Show what changed, the units in need of attention and the open cases, or all, of the person's operators."""
-        person, every = request.state.person, "all" in request.query_params
+        person = request.state.person
+        every = "all" in request.query_params
         every_case = await _read(list_cases, self.home, "true" if every else OPEN)
         cases = [c for c in every_case if person.may_read(c["operator"])]
         table, digest = await _read(_read_shift, self.home)
@@ -143,13 +145,15 @@ class Casebook:
 
     async def change(self, request: Request) -> Response:
         """Write a line about a case."""
-        case, person = await self._find(request), request.state.person
+        case = await self._find(request)
+        person = request.state.person
         if case is None:
             return await self._withdrawn(request, 409, "Nothing was written.")
         if not person.may_change:
             return self._message(request, 403, "A viewer changes nothing; ask an engineer.")
         async with request.form(max_files=0) as form:
-            kind, line = _field(form, "kind"), _field(form, "seen")
+            kind = _field(form, "kind")
+            line = _field(form, "seen")
             fields = {k: _field(form, k) or None for k in _FIELDS}
         if kind not in KINDS or not re.fullmatch(r"[0-9]{1,18}", line):
             return self._message(request, 400, "This page has no such action.")
@@ -194,7 +198,8 @@ class Casebook:
 
     async def _withdrawn(self, request: Request, status: int, message: str) -> Response:
         """Show a case whose alert a night withdrew; a link to it may be on an order or in a message."""
-        name, person = request.path_params["name"], request.state.person
+        name = request.path_params["name"]
+        person = request.state.person
         cases = await run_in_threadpool(withdrawn_cases, self.home, lambda own: own == name)
         case = next((c for c in cases if person.may_read(c["operator"])), None)
         if case is None:

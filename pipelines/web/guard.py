@@ -104,7 +104,8 @@ class Guard:
 
 def is_foreign(headers: Headers, names: Collection[str], *, needs_origin: bool) -> bool:
     """Test for another host name than ours, another page's origin, or a missing origin where one is needed."""
-    hosts, origin = headers.getlist("host"), headers.get("origin")
+    hosts = headers.getlist("host")
+    origin = headers.get("origin")
     if len(hosts) != 1 or re.sub(r":\d{1,5}$", "", hosts[0]).lower() not in names:
         return True
     return needs_origin if origin is None else origin not in {f"http://{hosts[0]}", f"https://{hosts[0]}"}

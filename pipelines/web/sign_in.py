@@ -75,12 +75,14 @@ def _read_file(home: Path) -> dict[str, Any]:
 
 def _person(name: str, entry: Any) -> Person:
     """Check one entry: a role, or a table of `role` and `operators`."""
-    where, entry = f"{FILE}: {name!r}", entry if isinstance(entry, dict) else {"role": entry}
+    where = f"{FILE}: {name!r}"
+    entry = entry if isinstance(entry, dict) else {"role": entry}
     if not (0 < len(name) <= _MAX_NAME and name.isprintable() and name == name.strip()):
         raise StoreError(f"{where}: a name has 1 to {_MAX_NAME} printable characters")
     if unknown := sorted(set(entry) - {"role", "operators"}):
         raise StoreError(f"{where}: unknown key {unknown[0]}; there are role and operators")
-    role, operators = entry.get("role"), entry.get("operators", [])
+    role = entry.get("role")
+    operators = entry.get("operators", [])
     if role not in ROLES:
         raise StoreError(f"{where}: role is {' or '.join(ROLES)}, not {role!r}")
     if not isinstance(operators, list) or not all(isinstance(o, str) for o in operators):
@@ -114,7 +116,8 @@ class LocalToken:
 
     def __call__(self, request: HTTPConnection) -> Person | Response:
         """Start, continue or end a session."""
-        cookie, method = _cookie_name(request), request.scope.get("method")
+        cookie = _cookie_name(request)
+        method = request.scope.get("method")
         if method == "GET" and "token" in request.query_params:
             return self._begin(request, cookie)
         session = request.cookies.get(cookie, "")

@@ -39,7 +39,8 @@ def translate_evidence(sentence: str) -> str:
 
 @cache
 def _translate(sentence: str, code: str) -> str:
-    parts, start = [], 0
+    parts = []
+    start = 0
     while start < len(sentence):
         matches = (_match(pattern, text, sentence, start) for pattern, text in _patterns(code))
         part, start = next((match for match in matches if match), (sentence[start], start + 1))

@@ -63,7 +63,10 @@ class Packing:
     def _unpack(self, part: Bytes, shift: int) -> Words12:
         little = self.order == "little"
         if shift:
-            here, there, near, far = part[:-1], part[1:], np.uint8(shift), np.uint8(8 - shift)
+            here = part[:-1]
+            there = part[1:]
+            near = np.uint8(shift)
+            far = np.uint8(8 - shift)
             part = here >> near | there << far if little else here << near | there >> far
         a, b, c = part[: part.size // 3 * 3].reshape(-1, 3).T.astype(np.uint16)
         pair = (a | (b & 15) << 8, b >> 4 | c << 4) if little else (a << 4 | b >> 4, (b & 15) << 8 | c)

@@ -50,7 +50,8 @@ def decode_717(recording: Recording717, parameters: Iterable[Parameter]) -> Iter
 
 
 def _every_frame(recording: Recording717, parameter: Parameter) -> Series:
-    samples, n = parameter.samples, recording.frame.size
+    samples = parameter.samples
+    n = recording.frame.size
     words = np.zeros((len(samples), n), np.uint64)
     whole = np.ones((len(samples), n), bool)
     for i, sample in enumerate(samples):
@@ -81,7 +82,8 @@ def _superframe(recording: Recording717, parameter: Parameter) -> Series:
 
 def _merge_pieces(parts: Iterable[tuple[Piece, Words, Flags]], words: Words, whole: Flags) -> None:
     """Merge the pieces of one word; where two hold the same bit they must agree, or they are no pieces of one word."""
-    filled_bits, differ = 0, np.zeros(0, bool)
+    filled_bits = 0
+    differ = np.zeros(0, bool)
     for piece, part, part_whole in parts:
         mask = (1 << piece.bits) - 1 << piece.into
         if overlap := filled_bits & mask:
@@ -121,7 +123,8 @@ def decode_767(recording: Recording767, parameters: Iterable[Parameter]) -> Iter
 
 def _bits(data: Bytes, piece: Piece) -> Words:
     """Return bits of each row, counted from its first; up to 64 of them."""
-    first, last = piece.low // 8, (piece.low + piece.bits - 1) // 8
+    first = piece.low // 8
+    last = (piece.low + piece.bits - 1) // 8
     number = np.zeros(data.shape[0], np.uint64)
     tail = np.uint64(7 - (piece.low + piece.bits - 1) % 8)
     for column in range(first, last):

@@ -48,7 +48,8 @@ def encode_767(layout: Map767, values: Mapping[str, Floats]) -> bytes:
 
 
 def _head(revision: str) -> bytes:
-    body, number = f"647A-00 {revision}".ljust(HEAD_BYTES).encode(), (1).to_bytes(2, "big")
+    body = f"647A-00 {revision}".ljust(HEAD_BYTES).encode()
+    number = (1).to_bytes(2, "big")
     size = (len(body) + HEAD_767).to_bytes(2, "big")
     return SYNC_767 + size + bytes(4) + number + body + number
 
@@ -66,7 +67,8 @@ def raw_words(parameter: Parameter, values: Floats) -> Words:
     if coding.kind != "binary" or len(coding.steps) > 1 or not isinstance(scale, Polynomial):
         raise ValueError(f"{parameter.name}: only binary numbers of one scale are written")
     offset, factor = scale.coefficients
-    low, high = (-(1 << coding.bits) if coding.sign is not None else 0), (1 << coding.bits) - 1
+    low = -(1 << coding.bits) if coding.sign is not None else 0
+    high = (1 << coding.bits) - 1
     number = np.round((_fill_forward(values) - offset) / factor)
     if number.size and not low <= number.min() <= number.max() <= high:
         message = f"{parameter.name}: {values[np.argmax(np.abs(number))]:g} does not fit into {coding.bits} bits"

@@ -79,7 +79,8 @@ def _check_counter(data: Bytes, packing: Packing, layout: Map717) -> None:
     if layout.counter is None:
         return
     raw = arrange(data[:LOOK_BYTES], packing, Map717(layout.words, {}, None, layout.sync_words, layout.subframe_s))
-    piece, subframe = layout.counter.piece, layout.counter.piece.word // layout.words
+    piece = layout.counter.piece
+    subframe = layout.counter.piece.word // layout.words
     whole = raw.whole[subframe]
     count = (raw.words[piece.word].astype(np.int64) >> piece.low) % (1 << piece.bits)
     both = whole[1:] & whole[:-1] & (np.diff(raw.frame) == 1)
@@ -132,7 +133,8 @@ def _check_rates(frames: WholeFrames, layout: Map767) -> None:
 
 def _check_values(series: Iterable[Series]) -> None:
     """Raise `MapError` naming the first parameters with impossible values, if there are too many of them."""
-    n_tested, impossible = 0, []
+    n_tested = 0
+    impossible = []
     for one in series:
         share = _share_impossible(one)
         n_tested += share is not None
@@ -145,7 +147,8 @@ def _check_values(series: Iterable[Series]) -> None:
 
 def _share_impossible(one: Series) -> float | None:
     """Return the share of undamaged values that are impossible; None for a parameter that can't be tested."""
-    p, n = one.parameter, int(one.whole.sum())
+    p = one.parameter
+    n = int(one.whole.sum())
     if not n or p.name.endswith(WHOLE) or p.coding.kind == "discrete":
         return None
     wrong = ~one.valid

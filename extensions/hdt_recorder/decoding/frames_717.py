@@ -76,7 +76,8 @@ class Finder:
             for ahead in (0, 1, 2):
                 successor = numbers[self.packing.words_at(self.data, places + ahead * self.step)]
                 matches = (number >= 0) & (successor == (number + ahead) % len(self.syncs))
-                places, number = places[matches], number[matches]
+                places = places[matches]
+                number = number[matches]
             if places.size:
                 return int(places[0]), int(number[0])
         return None
@@ -96,7 +97,8 @@ class Finder:
 
     def _follow(self, place: int, number: int) -> tuple[Run, int]:
         """Return the run that begins here, and the place of its last sync word."""
-        count, matches = 256, self._matches(place, number, 256)
+        count = 256
+        matches = self._matches(place, number, 256)
         while (loss := _first_loss(matches)) is None and matches.size == count:
             count *= 4
             matches = self._matches(place, number, count)

@@ -60,11 +60,15 @@ def find_frames(data: Bytes) -> WholeFrames:
     """Find every frame with agreeing sync, length and two numbers, none within another."""
     sync = np.flatnonzero((data[:-1] == SYNC_767 >> 8) & (data[1:] == SYNC_767 & 0xFF)).astype(np.int64)
     sync = sync[sync + HEAD_767 <= data.size]
-    size, number = _number(data, sync + 2, 2), _number(data, sync + 8, 2)
+    size = _number(data, sync + 2, 2)
+    number = _number(data, sync + 8, 2)
     fits = (size >= HEAD_767) & (sync + size <= data.size)
-    sync, size, number = sync[fits], size[fits], number[fits]
+    sync = sync[fits]
+    size = size[fits]
+    number = number[fits]
     agree = _number(data, sync + size - 2, 2) == number
-    place, size = sync[agree], size[agree]
+    place = sync[agree]
+    size = size[agree]
     separate = _without_overlap(place, size)
     place = place[separate]
     return WholeFrames(place, size[separate], _number(data, place + 4, 4), number[agree][separate])
@@ -80,7 +84,8 @@ def _number(data: Bytes, places: Ints, size: int) -> Ints:
 
 def _without_overlap(place: Ints, size: Ints) -> Flags:
     """Return the frames that do not begin within the frame before."""
-    separate, end = np.zeros(place.size, bool), 0
+    separate = np.zeros(place.size, bool)
+    end = 0
     for i, (begin, length) in enumerate(zip(place.tolist(), size.tolist(), strict=True)):
         if begin >= end:
             separate[i], end = True, begin + length
@@ -98,7 +103,8 @@ def arrange_767(data: Bytes, candidates: WholeFrames, kinds: Mapping[int, Frame7
         of_kind = whole & (candidates.number == number)
         whole[of_kind] = _on_beat(candidates.time_ms[of_kind], kind)
     end_s = float(candidates.time_ms[whole].max(initial=0)) / 1000.0
-    frames, missing = {}, 0
+    frames = {}
+    missing = 0
     for number, kind in kinds.items():
         at = np.flatnonzero(whole & (candidates.number == number))
         frames[number] = _frames_of_kind(data, candidates, at, kind, end_s)
@@ -112,7 +118,8 @@ def arrange_767(data: Bytes, candidates: WholeFrames, kinds: Mapping[int, Frame7
 
 
 def _text(data: Bytes, candidates: WholeFrames, head: int) -> str:
-    begin, size = int(candidates.place[head]), int(candidates.size[head])
+    begin = int(candidates.place[head])
+    size = int(candidates.size[head])
     return bytes(data[begin + 10 : begin + size - 2]).decode("ascii", "replace")
 
 
@@ -123,7 +130,8 @@ def _between_neighbours(time_ms: Ints) -> Flags:
     """
     if time_ms.size < 3:
         return np.ones(time_ms.size, bool)
-    before, after = time_ms[:-2], time_ms[2:]
+    before = time_ms[:-2]
+    after = time_ms[2:]
     inner = (before > after) | ((time_ms[1:-1] >= before) & (time_ms[1:-1] <= after))
     return np.concatenate([[True], inner, [True]])
 

@@ -151,7 +151,8 @@ HEAD_767 = 12
 
 def lay_out(parameters: Iterable[Parameter], frame_id: int, rate_hz: float | None) -> tuple[list[Parameter], int]:
     """Lay out the parameters of an ARINC 767 frame bit after bit; return them and the frame's length in bytes."""
-    result, low = [], 0
+    result = []
+    low = 0
     for p in parameters:
         bits = p.coding.bits + (p.coding.sign is not None)
         place = Sample(0.0, (Piece(0, low, bits),))
@@ -209,7 +210,8 @@ def sample_at(parts: Sequence[Place], overlaps: Sequence[int], words: int, subfr
     ValueError
         For a place outside the frame.
     """
-    pieces, into = [], 0
+    pieces = []
+    into = 0
     for part, overlap in zip(parts, overlaps, strict=True):
         inside = 1 <= part.subframe <= subframes and 1 <= part.word <= words
         if not inside or not 1 <= part.lowest_bit <= part.highest_bit <= BITS:

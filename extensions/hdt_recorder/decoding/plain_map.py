@@ -141,7 +141,8 @@ def _read_parameter(entry: dict[str, Any], read: Any) -> Parameter:
 
 
 def _parameter_717(entry: dict[str, Any], layout: Map717, frames: int) -> Parameter:
-    subframes, cycle = len(layout.sync_words), max(frames, 1) if "superframe" in entry else 1
+    subframes = len(layout.sync_words)
+    cycle = max(frames, 1) if "superframe" in entry else 1
     samples = _samples(entry, layout.words, subframes)
     if cycle > 1 and (layout.counter is None or max(p.frame for s in samples for p in s.pieces) >= frames):
         raise ValueError(f"a superframe needs a counter in the head, and frames from 1 to {frames}")
@@ -179,7 +180,8 @@ def _map_767(document: dict[str, Any]) -> Map767:
     parameters: dict[str, Parameter] = {}
     entries = list(document.get("parameter", ()))
     for kind in document["frames"]:
-        number, rate_hz = int(kind["number"]), kind.get("rate_hz")
+        number = int(kind["number"])
+        rate_hz = kind.get("rate_hz")
         meanings = [
             _read_parameter(e, lambda e: _meaning(e, int(e["size"]))) for e in entries if e.get("frame") == number
         ]
@@ -193,7 +195,8 @@ def _map_767(document: dict[str, Any]) -> Map767:
 
 
 def _meaning(entry: dict[str, Any], bits: int) -> Parameter:
-    kind, is_signed = entry.get("kind", "binary"), bool(entry.get("signed", False))
+    kind = entry.get("kind", "binary")
+    is_signed = bool(entry.get("signed", False))
     if kind not in KINDS:
         raise ValueError(f"no kind {kind}; there are {', '.join(KINDS)}")
     usual = 4 if kind == "bcd" else 8
@@ -207,7 +210,8 @@ def _meaning(entry: dict[str, Any], bits: int) -> Parameter:
         texts={int(k): str(v) for k, v in entry.get("texts", {}).items()},
     )  # fmt: skip
     lowest, highest = (None if entry.get(k) is None else float(entry[k]) for k in ("lowest", "highest"))
-    unit, description = entry.get("unit", ""), entry.get("description", "")
+    unit = entry.get("unit", "")
+    description = entry.get("description", "")
     return Parameter(entry["name"], coding, (), 0.0, unit, description, lowest=lowest, highest=highest)
 
 
@@ -216,5 +220,6 @@ def _steps(entry: dict[str, Any]) -> tuple[Step, ...]:
     if "segments" in entry:
         starts, scales, offsets = zip(*sorted(tuple(map(float, s)) for s in entry["segments"]), strict=True)
         return (Segments(starts, scales, offsets),)
-    scale, offset = float(entry.get("scale", 1.0)), float(entry.get("offset", 0.0))
+    scale = float(entry.get("scale", 1.0))
+    offset = float(entry.get("offset", 0.0))
     return (Polynomial((offset, scale)),) if (scale, offset) != (1.0, 0.0) else ()

@@ -113,7 +113,8 @@ def _declare(line: str, place: int) -> LineLayout:
 
 def _pattern(word: str) -> str:
     """Return the regular expression of a declaration's word."""
-    expression, last = "", 0
+    expression = ""
+    last = 0
     for m in _FIELD.finditer(word):
         expression += re.escape(word[last : m.start()])
         width = f"{{{m['width']}}}" if m["width"] else "+"
@@ -127,7 +128,8 @@ def read_reports(data: bytes, layouts: Mapping[str, Layout]) -> Reports:
     lines: list[ReportLine] = []
     rejected: list[RejectedLine] = []
     undeclared: list[str] = []
-    layout, report = None, 0
+    layout = None
+    report = 0
     for place, line in _numbered_lines(unblock(data), rejected):
         if title := _TITLE.fullmatch(line):
             layout = layouts.get(title["number"])
@@ -190,7 +192,8 @@ def unblock(data: bytes) -> str:
 
     A block's text has one byte more at either end, which mark whether the file begins, goes on or ends there.
     """
-    texts, at = [], 0
+    texts = []
+    at = 0
     while at + _BLOCK < len(data):
         size = int.from_bytes(data[at + 12 : at + 16], "little")
         if not 2 < size < 1 << 16 or data[at + 16 : at + 20] != bytes(4):

@@ -82,7 +82,9 @@ class _Timeline:
     """Runs by time. `at` is 4 x frame + number of the subframe, `shift` the counter less the frame, -1 if unknown."""
 
     def __init__(self, finder: Finder, layout: Map717, alone: bool) -> None:
-        self.finder, self.layout, self.alone = finder, layout, alone
+        self.finder = finder
+        self.layout = layout
+        self.alone = alone
         self.per_frame = len(layout.sync_words)
         self.words: list[Words12] = []
         self.whole: list[Flags] = []
@@ -99,7 +101,8 @@ class _Timeline:
 
     def add(self, run: Run) -> None:
         """Add the next run of the file; one that no counter places is left out."""
-        at, whole = self._estimate(run), run.whole.copy()
+        at = self._estimate(run)
+        whole = run.whole.copy()
         shift = np.full(at.size, -1, np.int64)
         words = self.finder.read(run)
         if self.layout.counter is not None:
@@ -173,13 +176,12 @@ class _Timeline:
 
 def _fill(timeline: _Timeline, skipped_bytes: int) -> Recording717:
     """Fill frames into a regular grid; those that a short gap took are there, not whole."""
-    layout, per_frame = timeline.layout, timeline.per_frame
+    layout = timeline.layout
+    per_frame = timeline.per_frame
     frame_s = per_frame * layout.subframe_s
     at = _join(timeline.at, np.empty(0, np.int64))
-    words, subframe_whole = (
-        _join(timeline.words, np.empty((0, layout.words), np.uint16)),
-        _join(timeline.whole, np.empty(0, bool)),
-    )
+    words = _join(timeline.words, np.empty((0, layout.words), np.uint16))
+    subframe_whole = _join(timeline.whole, np.empty(0, bool))
     present, first = np.unique(at // per_frame, return_index=True)
     gaps = np.diff(present) - 1
     short = np.flatnonzero((gaps > 0) & (gaps * frame_s <= FILLED_GAP_S))

@@ -60,7 +60,8 @@ def _binary(words: Words, coding: Coding) -> Values:
 
 
 def _bcd(words: Words, coding: Coding) -> Values:
-    value, valid = np.zeros(words.size), np.ones(words.size, bool)
+    value = np.zeros(words.size)
+    valid = np.ones(words.size, bool)
     for low, bits in coding.digits:
         digit = extract_bits(words, low, bits)
         value = 10.0 * value + digit

@@ -95,7 +95,8 @@ def _meaning(block: list[Line]) -> Parameter | None:
         return None
     rows = {kind: [f for _, k, f in block if k == kind] for kind in "23456"}
     kind: Kind = "binary" if head[2].startswith("BNR") else KINDS.get(head[2], "binary")
-    msb, bits = int(head[7]), int(head[8])
+    msb = int(head[7])
+    bits = int(head[8])
     digits = tuple((int(f[1]) - int(f[2]), int(f[2])) for f in rows["5"] if len(f) > 2)
     decimals = re.match(r"\d*\.(\d+)$", head[20])
     coding = Coding(
@@ -183,7 +184,8 @@ class _Frame:
     def regular(self, fields: list[str]) -> _ParameterLine:
         """Return a part in every frame: as many places as its rate says, from its first on."""
         rate, subframe, word, top, bits, into = (int(f) for f in fields[2:8])
-        first, all_words = self._piece(subframe, word, top, bits, into - bits), 4 * self.words
+        first = self._piece(subframe, word, top, bits, into - bits)
+        all_words = 4 * self.words
         if rate < 1 or all_words % rate:
             raise ValueError(f"rate {rate} does not divide the frame")
         step = all_words // rate
@@ -214,7 +216,8 @@ def _place(meaning: Parameter, lines: list[_ParameterLine], frame_s: float) -> I
         if line.part == 1 or not groups:
             groups.append([])
         groups[-1].append(line)
-    whole, complete = _as_written(meaning.coding), _complete(meaning.coding, groups)
+    whole = _as_written(meaning.coding)
+    complete = _complete(meaning.coding, groups)
     if groups != complete or meaning.coding != whole:
         yield _with_samples(replace(meaning, name=meaning.name + WHOLE, coding=whole), complete, frame_s)
         meaning = replace(meaning, description=f"{meaning.description} (as listed; see {meaning.name}{WHOLE})")
@@ -246,14 +249,16 @@ def _extend(coding: Coding, group: list[_ParameterLine]) -> list[_ParameterLine]
     if not sign:
         return group
     top = max((p.into + p.bits for i, p in enumerate(pieces) if i != sign[0]), default=coding.low + coding.bits)
-    line, up = group[sign[0]], (coding.sign or 0) - pieces[sign[0]].into
+    line = group[sign[0]]
+    up = (coding.sign or 0) - pieces[sign[0]].into
     bit = [replace(p, low=p.low + up, bits=1) for p in line.pieces]
     missing = range(top, coding.low + coding.bits) if pieces[sign[0]].bits == 1 else range(0)
     return group + [replace(line, pieces=tuple(replace(p, into=place) for p in bit)) for place in missing]
 
 
 def _with_samples(meaning: Parameter, groups: list[list[_ParameterLine]], frame_s: float) -> Parameter:
-    rate, cycle = len(groups[0][0].pieces), groups[0][0].cycle
+    rate = len(groups[0][0].pieces)
+    cycle = groups[0][0].cycle
     gap_s = frame_s / (rate * len(groups)) if cycle == 1 else 0.0
     samples = tuple(
         Sample(gap_s * (i * len(groups) + g), tuple(line.pieces[i] for line in group))
@@ -265,7 +270,8 @@ def _with_samples(meaning: Parameter, groups: list[list[_ParameterLine]], frame_
 
 def read_frd(name: str, data: bytes, meanings: Mapping[str, Parameter]) -> Map767:
     """Read a `.frd`: kind 1 is the file's revision, 2 a frame, 3 a parameter's order in it, 4 its short name."""
-    revision, short = "", {}
+    revision = ""
+    short = {}
     frames: dict[int, tuple[str, float]] = {}
     order: dict[int, dict[int, str]] = {}
     for number, kind, fields in read_lines(name, data):
@@ -280,7 +286,8 @@ def read_frd(name: str, data: bytes, meanings: Mapping[str, Parameter]) -> Map76
                 short[fields[0]] = fields[1]
         except (ValueError, IndexError) as error:
             raise MapError(f"{name}: line {number}: {error}") from None
-    kinds, parameters = {}, {}
+    kinds = {}
+    parameters = {}
     for frame_id, (title, rate_hz) in frames.items():
         by_position = order.get(frame_id, {})
         names = [short.get(by_position[i], by_position[i]) for i in sorted(by_position)]

@@ -204,9 +204,11 @@ def _map_767(root: ET.Element) -> Map767:
         _text(e, "Name"): _read_element(e, lambda e: _meaning(e, _number(e, "Number_of_Bits")))
         for e in root.iterfind("Parameter767")
     }
-    frames, parameters = {}, {}
+    frames = {}
+    parameters = {}
     for frame in root.iterfind("Frame"):
-        number, rate = _number(frame, "Frame_ID"), frame.find("Recording_Rate")
+        number = _number(frame, "Frame_ID")
+        rate = frame.find("Recording_Rate")
         names = [(n.text or "").strip() for n in frame.iterfind("Parameter_List/Name_Ref")]
         if undefined_names := [n for n in names if n not in meanings]:
             raise MapError(f"frame {number}: no parameter {undefined_names[0]}")

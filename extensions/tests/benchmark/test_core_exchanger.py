@@ -48,14 +48,18 @@ def test_a_door_step_shows_late():
 
 def test_a_core_lies_between_its_films_and_moves_each_stream_by_the_films_own_units():
     """Films in series with a wall of a tenth: each has 0.45 of the resistance, at 0.9 and 1.6 kg/s."""
-    at, fouled = AT | {"hot_flow_kg_s": 0.7, "ram_flow_kg_s": 2.0}, CORE_EXCHANGER.nominal | {"hx_fouling": 0.2}
+    at = AT | {"hot_flow_kg_s": 0.7, "ram_flow_kg_s": 2.0}
+    fouled = CORE_EXCHANGER.nominal | {"hx_fouling": 0.2}
     now = core(**fouled, **at)
     hot_k, ram_k = HEAT_EXCHANGER.predict({"hx_fouling": 0.2}, at).values()
     assert (now.hot_out_k, now.ram_out_k) == (hot_k, ram_k)
     hot_w_k, ratio = capacity_rates(0.7, 2.0, 390.0, hot_k, 250.0)
-    cold_w_k, heat_w = hot_w_k / ratio, hot_w_k * (390.0 - hot_k)
-    hot_film, cold_film = 1700.0 / 0.45 * (0.7 / 0.9) ** 0.6, 1700.0 / 0.45 * (2.0 / 1.6) ** 0.6
-    under, over = 0.5 * (390.0 + hot_k) - heat_w / hot_film, 0.5 * (250.0 + ram_k) + heat_w / cold_film
+    cold_w_k = hot_w_k / ratio
+    heat_w = hot_w_k * (390.0 - hot_k)
+    hot_film = 1700.0 / 0.45 * (0.7 / 0.9) ** 0.6
+    cold_film = 1700.0 / 0.45 * (2.0 / 1.6) ** 0.6
+    under = 0.5 * (390.0 + hot_k) - heat_w / hot_film
+    over = 0.5 * (250.0 + ram_k) + heat_w / cold_film
     assert now.steady_k == pytest.approx(0.5 * (under + over), rel=1e-9)
     gains = 1.0 - np.exp(-hot_film / hot_w_k), 1.0 - np.exp(-cold_film / cold_w_k)
     assert (now.hot_gain, now.cold_gain) == pytest.approx(gains, rel=1e-9)

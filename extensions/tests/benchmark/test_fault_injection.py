@@ -65,7 +65,8 @@ def test_the_controller_opens_the_door_before_the_outlet_warms(page, rows):
     before = rows.select(*KEY, "ram_door_pct", "hx_out_degc")
     both = cruise(injected.rows, injected.truth).join(before, on=KEY, suffix="_before")
     complete = both.drop_nulls([*TOUCHED, "hx_in_degc", "tat_degc", "pt_psia", "pack_flow_lbpm", "altitude_ft", "mach"])
-    door, before = complete["ram_door_pct"], complete["ram_door_pct_before"]
+    door = complete["ram_door_pct"]
+    before = complete["ram_door_pct_before"]
     warmer = complete["hx_out_degc"] - complete["hx_out_degc_before"]
     assert (door >= before - 1e-9).all()
     modulating = door < 99.99
@@ -103,7 +104,8 @@ def test_heat_that_the_hot_side_keeps_the_ram_air_lacks(page, rows):
 def test_the_twin_recovers_the_injected_loss_and_a_short_door_is_none(page):
     """Flight by flight, within half a point by the fleet's own map, within three on average by one it does not know."""
     for (_, of), loss in page["losses"].items():
-        off, limit = loss["estimate"] - loss["hx_fouling"], 0.005 if of == "the fleet's own map" else 0.03
+        off = loss["estimate"] - loss["hx_fouling"]
+        limit = 0.005 if of == "the fleet's own map" else 0.03
         assert loss.height > 150
         assert abs(off.mean()) < limit
         assert off.std() < limit
@@ -118,7 +120,8 @@ def test_the_health_track_rises_by_it(page):
 
     The log is kept: it has spoken of an inspection. In one that says nothing at all a new core may be missing.
     """
-    tail, first = page["TAIL"], page["first"]
+    tail = page["TAIL"]
+    first = page["first"]
     flown = page["as_flown"].filter(pl.col("tail") == tail)
     place = {"operator": flown["operator"][0], "tail": tail, "pack": PACK, "component": "HX"}
     inspection = place | {"action": "INSPECTED", "done_on": flown["departed_at"].dt.date().min()}

@@ -30,12 +30,14 @@ def gain_record(seed, before=1.0, after=1.6):
 
 def test_a_jump_is_followed_where_the_plain_filter_lags_and_else_it_is_that_filter():
     problem = gain_record(0)
-    tracked, plain = StrongTracking().estimate(problem), ExtendedKalman(smoother_passes=0).estimate(problem)
+    tracked = StrongTracking().estimate(problem)
+    plain = ExtendedKalman(smoother_passes=0).estimate(problem)
     assert abs(tracked.path[JUMP_AT + 15, 0] - 1.6) < 0.1
     assert abs(plain.path[JUMP_AT + 15, 0] - 1.6) > 0.4
     assert abs(tracked.belief.mean[0] - 1.6) < 4.0 * tracked.belief.sd[0]
     problem = gain_record(1, after=1.0)
-    tracked, plain = StrongTracking().estimate(problem), ExtendedKalman(smoother_passes=0).estimate(problem)
+    tracked = StrongTracking().estimate(problem)
+    plain = ExtendedKalman(smoother_passes=0).estimate(problem)
     np.testing.assert_allclose(tracked.belief.mean, plain.belief.mean, atol=1e-9)
     np.testing.assert_allclose(tracked.belief.cov, plain.belief.cov, rtol=1e-6)
 
@@ -55,7 +57,8 @@ def test_classification_tells_the_jump_and_its_time_by_a_path():
 
 
 def test_recursive_least_squares_is_the_weighted_sum_of_the_textbook():
-    problem, forgetting = gain_record(4, after=1.0), 0.97
+    problem = gain_record(4, after=1.0)
+    forgetting = 0.97
     u = np.ravel(problem.simulate(np.array([1.0])))
     weight = forgetting ** np.arange(N - 1, -1, -1) / 0.01
     # the prior is forgotten too, once before every sample

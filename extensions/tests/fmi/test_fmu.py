@@ -45,8 +45,12 @@ def rate_k_s(flow, hot_k, air_k, ua, heat, oil_k):
 
 def test_rates_outputs_and_states_are_those_of_its_source(tank):
     rng = np.random.default_rng(0)
-    flow, hot, air = rng.uniform(100, 400, (3, 1)), rng.uniform(310, 350, (1, 4)), 295.0
-    ua, loss, oil = rng.uniform(50, 300, (3, 4)), 0.3, rng.uniform(295, 330, (3, 4))
+    flow = rng.uniform(100, 400, (3, 1))
+    hot = rng.uniform(310, 350, (1, 4))
+    air = 295.0
+    ua = rng.uniform(50, 300, (3, 4))
+    loss = 0.3
+    oil = rng.uniform(295, 330, (3, 4))
     at = {"oil_flow_w_k": flow, "oil_in_k": hot, "air_in_k": air, "hc_ua_w_k": ua, "hc_fouling": loss, "oil_T": oil}
     expected = rate_k_s(flow, hot, air, 0.7 * ua, 40_000.0, oil)
     np.testing.assert_allclose(tank.rates(**at, heat=40_000.0)[0], expected, rtol=1e-12)
@@ -57,7 +61,8 @@ def test_rates_outputs_and_states_are_those_of_its_source(tank):
 
 def test_it_relaxes_as_the_closed_form_does(tank):
     """From 300 K to the mean of both streams weighted by their conductances, with time constant heat / (flow + UA)."""
-    n, dt_s = 200, 2.0
+    n = 200
+    dt_s = 2.0
     inputs = {"oil_flow_w_k": 250.0, "oil_in_k": np.full(n, 330.0), "air_in_k": 295.0}
     return_k = tank.simulate({"hc_fouling": 0.5}, inputs, dt_s)["return_k"]
     final = (250.0 * 330.0 + 85.0 * 295.0) / 335.0
@@ -134,7 +139,8 @@ SLOWEST = 0.1  # of free_models.c, below which the ball lies still
 
 def describe(name: str, states: tuple[str, ...], constants: tuple[str, ...], indicators: int) -> str:
     start = {"van_der_pol": (2.0, 0.0, 1.0), "dahlquist": (1.0, 1.0)}.get(name, (1.0, 0.0, -9.81, 0.7))
-    variables, row = [], '<ScalarVariable name="{}" valueReference="{}" {}><Real {}/></ScalarVariable>'
+    variables = []
+    row = '<ScalarVariable name="{}" valueReference="{}" {}><Real {}/></ScalarVariable>'
     for i, state in enumerate(states):
         variables.append(row.format(state, i, 'causality="output" initial="exact"', f'start="{start[i]}"'))
     for i, state in enumerate(states):
@@ -212,13 +218,17 @@ def theirs_of(path, end_s, dt_s):
 
 def bounced(time_s: np.ndarray, g: float, e: float) -> np.ndarray:
     """Height of the ball, let fall from 1: parabola after parabola, the first of them half a one."""
-    start_s, speed, height = 0.0, 0.0, np.zeros(len(time_s))
-    fall_s, lasting_s = np.sqrt(2.0 / g), np.sqrt(2.0 / g)
+    start_s = 0.0
+    speed = 0.0
+    height = np.zeros(len(time_s))
+    fall_s = np.sqrt(2.0 / g)
+    lasting_s = np.sqrt(2.0 / g)
     while True:
         on = (time_s >= start_s) & (time_s <= start_s + lasting_s)
         since = time_s[on] - start_s
         height[on] = (1.0 if speed == 0.0 else 0.0) + speed * since - 0.5 * g * since**2
-        start_s, speed = start_s + lasting_s, e * (speed or g * fall_s)
+        start_s = start_s + lasting_s
+        speed = e * (speed or g * fall_s)
         if speed < SLOWEST:
             return height
         lasting_s = 2.0 * speed / g
@@ -255,7 +265,8 @@ def test_a_run_over_time_is_that_of_its_states(tmp_path, name):
 
 
 def test_instants_come_in_any_order_and_parameters_broadcast(ball):
-    time_s, e = np.array([1.3, 0.2, np.nan, -1.0, 0.2]), np.array([[0.7], [0.5]])
+    time_s = np.array([1.3, 0.2, np.nan, -1.0, 0.2])
+    e = np.array([[0.7], [0.5]])
     heights = ball.predict({"e": e}, {"time_s": time_s})["h"]
     expected = [[bounced(np.array([t]), 9.81, x)[0] if t > 0.0 else np.nan for t in time_s] for x in (0.7, 0.5)]
     np.testing.assert_allclose(heights, expected, atol=1e-6)

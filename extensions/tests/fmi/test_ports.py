@@ -31,14 +31,16 @@ def one_after_another(params):
 
 @pytest.mark.parametrize("worn", ["hx_fouling", "ram_flow_loss", "cc_efficiency_loss", "cc_diameter_loss"])
 def test_pack_equals_its_parts_in_order(worn):
-    together, apart = PACK.predict({worn: 0.2}, FLIGHT), one_after_another({worn: 0.2})
+    together = PACK.predict({worn: 0.2}, FLIGHT)
+    apart = one_after_another({worn: 0.2})
     assert together.keys() == apart.keys()
     for name in apart:
         np.testing.assert_allclose(together[name], apart[name], rtol=1e-14)
 
 
 def test_wear_upstream_reaches_the_exchanger():
-    clean, worn = PACK.predict({}, FLIGHT), PACK.predict({"cc_efficiency_loss": 0.1}, FLIGHT)
+    clean = PACK.predict({}, FLIGHT)
+    worn = PACK.predict({"cc_efficiency_loss": 0.1}, FLIGHT)
     assert np.all(worn["cc_out_k"] > clean["cc_out_k"] + 5.0)
     assert np.all(worn["hot_out_k"] > clean["hot_out_k"])
     starved = PACK.predict({"ram_flow_loss": 0.3}, FLIGHT)

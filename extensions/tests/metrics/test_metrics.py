@@ -25,7 +25,8 @@ def test_figures_are_those_of_ledger_and_catalog(sample_home, tmp_path):
     file = tmp_path / "hdt.prom"
     result = CliRunner().invoke(app, ["metrics", "--home", str(sample_home), "--out", str(file)])
     assert result.exit_code == 0, result.output
-    values, night = figures(file.read_text()), Ledger(sample_home, read_only=True).nights().row(-1, named=True)
+    values = figures(file.read_text())
+    night = Ledger(sample_home, read_only=True).nights().row(-1, named=True)
     for name in ("files", "new_files", "runs", "cells"):
         assert values[f"hdt_night_{name}"] == {(): float(night[name])}
     assert values["hdt_night_failed"] == {(): 0.0}

@@ -84,7 +84,8 @@ def test_there_and_back_is_the_same_question(tmp_path, model, free, record, more
     from hdt_petab import read_petab
 
     assert not lint_problem(Petab.from_yaml(str(path)))
-    ours, back = declared_problem(model, free, *record, **more), read_petab(path)
+    ours = declared_problem(model, free, *record, **more)
+    back = read_petab(path)
     thetas = ours.origin * np.array([[0.9], [1.0], [1.2]])
     np.testing.assert_allclose(back.objective(thetas), ours.objective(thetas), rtol=1e-9)
     one, other = (NonlinearLeastSquares().estimate(p).belief for p in (ours, back))

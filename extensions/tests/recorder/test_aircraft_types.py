@@ -70,7 +70,8 @@ def test_a_zone_describes_its_own_types_and_a_bad_one_costs_no_other(tmp_path):
 
 
 def test_links_out_of_the_zone_are_not_followed(tmp_path):
-    outside, zone = tmp_path / "outside", tmp_path / "zone"
+    outside = tmp_path / "outside"
+    zone = tmp_path / "zone"
     outside.mkdir()
     (zone / "types").mkdir(parents=True)
     (outside / "t.toml").write_text('type = "OUT"\nmap = "m.toml"\n[pack]\nmach = "M"\n')

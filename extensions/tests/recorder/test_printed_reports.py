@@ -95,7 +95,8 @@ def test_a_type_may_bring_its_own_layouts(tmp_path):
 
 
 def test_what_is_stored_is_not_read_again_and_stays_when_its_file_leaves(tmp_path, monkeypatch):
-    landing, read_files = tmp_path / "landing", []
+    landing = tmp_path / "landing"
+    read_files = []
 
     def watched(file: LandingFile, now: datetime, version: str) -> FileIntake:
         read_files.append(file.name)
@@ -209,7 +210,8 @@ def test_three_hundred_damaged_files_are_read_or_set_aside():
         rng = np.random.default_rng(seed)
         damaged = bytearray(data)
         for _ in range(rng.integers(1, 6)):
-            at, size = int(rng.integers(len(damaged))), int(rng.integers(1, 60))
+            at = int(rng.integers(len(damaged)))
+            size = int(rng.integers(1, 60))
             damaged[at : at + size] = b"" if rng.integers(2) else rng.integers(128, 256, size, np.uint8).tobytes()
         result = read_reports(bytes(damaged[: int(rng.integers(len(data) // 2, len(data) + 1))]), LAYOUTS)
         n_intact += sum((x.row, tuple(x.values.values())) in whole for x in result.lines)

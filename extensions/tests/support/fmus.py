@@ -26,7 +26,8 @@ def build_fmu(folder: Path, name: str, source: Path, description: str, *options:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         pytest.skip("no C compiler to build the FMUs of the tests with")
-    binary, headers = folder / f"{name}.so", Path(fmpy.__file__).parent / "c-code"
+    binary = folder / f"{name}.so"
+    headers = Path(fmpy.__file__).parent / "c-code"
     command = [compiler, "-shared", "-fPIC", "-O1", *options, f"-I{headers}", str(source), "-o", str(binary)]
     subprocess.run(command, check=True, capture_output=True)
     return pack_fmu(folder, name, description, binary)

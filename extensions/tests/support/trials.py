@@ -96,9 +96,11 @@ def log(units: list[Unit], every: int = 6) -> list[LogEntry]:
     """The start and a seal each night, as `seal.py` would write them; prognoses each `every` nights, for speed."""
     tails = sorted({u.tail for u in units})
     seals = range(-1, SEALED, A_DAY)
-    entries, sealed = [], set()
+    entries = []
+    sealed = set()
     for n, last in enumerate(seals):
-        rows, prognoses = [], []
+        rows = []
+        prognoses = []
         for u in units:
             key = {"operator": "AAA", "tail": u.tail, "pack": u.pack, "component": "HX"}
             for at, event in u.alerts:
@@ -129,7 +131,8 @@ def outcomes(units: list[Unit], declared: Declaration) -> Outcomes:
     rows = []
     for u in units:
         for event in (e for e in u.events if -BEFORE < e < FOLLOWED):
-            at, place = departure(event), ("AAA", u.tail, u.pack, "HX")
+            at = departure(event)
+            place = ("AAA", u.tail, u.pack, "HX")
             rows += [(*place, at + dt.timedelta(hours=1), "MESSAGE", None)]
             rows += [(*place, at + dt.timedelta(hours=2), "REPLACED", "FOULED")]
     departed = [departure(k) for k in range(-BEFORE, FOLLOWED)]
@@ -139,8 +142,15 @@ def outcomes(units: list[Unit], declared: Declaration) -> Outcomes:
 
 def truth(units: list[Unit], declared: Declaration) -> dict[str, float]:
     """The page's figures by the generator's own account: every life whole, nothing sealed, nothing cut."""
-    cost, flown = declared.cost, FOLLOWED * len(units) / 2
-    hits, leads, events, false, within, low, soon = 0, [], 0, 0, [], [], []
+    cost = declared.cost
+    flown = FOLLOWED * len(units) / 2
+    hits = 0
+    leads = []
+    events = 0
+    false = 0
+    within = []
+    low = []
+    soon = []
     for u in units:
         by_event = {event: at for at, event in u.alerts if event is not None}
         for event in (e for e in u.events if 0 <= e < FOLLOWED):

@@ -44,7 +44,8 @@ def chain(files, start=0):
 
 def tamper(way, files, rng):
     file = rng.choice(files)
-    data, heads = file.read_bytes(), files[0].parent / HEADS
+    data = file.read_bytes()
+    heads = files[0].parent / HEADS
     match way:
         case "flip":
             at = rng.randrange(len(data))
@@ -99,7 +100,9 @@ def restore(folder, whole):
 def test_a_log_that_was_tampered_with_is_found_in_1000_of_1000_tries(sealed, folder):
     """The careful rewrite the whole chain: only the digest that was printed and kept elsewhere shows it."""
     assert list(faults(sealed, [e.digest for e in entries(sealed)])) == [], "an untouched log has no fault"
-    printed, rng, detections = entries(sealed)[-1].digest, random.Random(3), 0
+    printed = entries(sealed)[-1].digest
+    rng = random.Random(3)
+    detections = 0
     whole = {file.name: file.read_bytes() for file in sealed.iterdir()}
     for k in range(1000):
         restore(folder, whole)
@@ -128,7 +131,8 @@ def test_a_kill_between_entry_and_head_is_told_and_mended_by_the_next_night(fold
 def test_a_time_stamp_holds_for_its_entry_alone(folder, tmp_path):
     """An authority of our own answers the request, as one on the network would."""
     log = entries(folder)
-    query, authority = stamp_request(folder, log[-1]), tmp_path / "tsa.pem"
+    query = stamp_request(folder, log[-1])
+    authority = tmp_path / "tsa.pem"
     (tmp_path / "tsa.cnf").write_text(
         "[req]\ndistinguished_name=dn\nx509_extensions=ext\nprompt=no\n[dn]\nCN=Our authority\n"
         "[ext]\nextendedKeyUsage=critical,timeStamping\n[tsa]\ndefault_tsa=own\n[own]\n"

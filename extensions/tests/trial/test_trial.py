@@ -29,7 +29,9 @@ class World:
     """A catalog that grows by a flight a day."""
 
     def __init__(self, home, con, monkeypatch):
-        self.con, self.home, self.now = con, home, 9
+        self.con = con
+        self.home = home
+        self.now = 9
         self.tables = {"features_alerts": [], "raw_messages": [], "raw_maintenance": [], "features_work": []}
         for module in (seal, evaluation):
             monkeypatch.setattr(module, "connect", self.connect)
@@ -195,7 +197,8 @@ def test_what_changes_after_the_start_is_told(world, monkeypatch):
 def test_each_night_seals_only_what_is_new(world):
     world.tables["features_alerts"] = [alert("one", 20)]
     begin(world)
-    first, again = world.night(20), world.night(20)
+    first = world.night(20)
+    again = world.night(20)
     assert [a["alert_id"] for a in first.body["alerts"]["hdt"]] == ["one"]
     assert again.body["alerts"]["hdt"] == []
     assert again.body["prognoses"] == []
@@ -279,7 +282,8 @@ def evaluate_fleet(seed, tails, declared):
 def test_every_figure_holds_the_truth_in_88_percent_of_50_trials(declared):
     """Truth: the generator's own account of 800 aircraft, lives whole. Trials: 30 aircraft, 300 sealed flights."""
     truth = trials.truth(trials.fleet(10**6, 800), declared)
-    coverage, counts = Counter(), Counter()
+    coverage = Counter()
+    counts = Counter()
     for seed in range(TRIALS):
         for f in evaluate_fleet(seed, 30, declared).figures["hdt"]:
             assert f.interval is not None, f

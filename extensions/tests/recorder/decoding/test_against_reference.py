@@ -72,7 +72,8 @@ def test_every_parameter_equals_the_independent_decoders(a330):
     for name in LISTED_TWICE:
         both = reference[name].select("t_s", "value").rows()
         assert set(zip(a330[name].t_s, a330[name].value, strict=True)) <= set(both)
-    reference, b787 = theirs("decoded_767.parquet"), read("b787.vec", "b787_767.zip")
+    reference = theirs("decoded_767.parquet")
+    b787 = read("b787.vec", "b787_767.zip")
     assert (len(reference), len(b787)) == (130, 2718)
     assert disagreements(b787, reference) == []
 
@@ -121,7 +122,8 @@ def test_what_the_map_leaves_to_the_reader_is_what_the_aircraft_says_elsewhere(a
 
     assert texts("CITY_FROM_R.whole") == {"ZJHK"}
     assert {c[:4] for c in texts("FNO_P5678.whole")} == {"765 "}
-    latitude, longitude = a330["LATPGPS.whole"].value, a330["LONGPGPS.whole"].value
+    latitude = a330["LATPGPS.whole"].value
+    longitude = a330["LONGPGPS.whole"].value
     assert 19.8 < latitude.min() < latitude.max() < 20.4  # north of Haikou
     assert 110.3 < longitude.min() < longitude.max() < 110.7
     assert np.abs(np.diff(latitude)).max() < 0.01

@@ -42,11 +42,13 @@ def damage(words: np.ndarray, packing: Packing, rng: np.random.Generator) -> tup
     """Damaged bytes, and the words as they then stand: a flip within a subframe is a word like any other."""
     flipped = words.copy()
     for _ in range(rng.integers(0, 6)):
-        frame, word = rng.integers(len(words)), rng.choice([*SYNCS, COUNTER, *range(words.shape[1])])
+        frame = rng.integers(len(words))
+        word = rng.choice([*SYNCS, COUNTER, *range(words.shape[1])])
         flipped[frame, word] ^= 1 << rng.integers(12)
     data = bytearray(pack(flipped, packing, int(rng.integers(0, 3)) * 8))
     for _ in range(rng.integers(0, 4)):
-        at, size = int(rng.integers(len(data))), int(rng.integers(1, 900))
+        at = int(rng.integers(len(data)))
+        size = int(rng.integers(1, 900))
         kind = rng.integers(4)
         if kind == 0:  # lost
             del data[at : at + size]
@@ -132,7 +134,8 @@ def test_a_damaged_arinc_767_file_tells_nothing_that_was_not_recorded():
         for at in rng.choice(heads, rng.integers(0, 6)):
             data[at] ^= 1 << rng.integers(8)
         for _ in range(rng.integers(0, 4)):
-            at, size = int(rng.integers(len(data))), int(rng.integers(1, 300))
+            at = int(rng.integers(len(data)))
+            size = int(rng.integers(1, 300))
             data[at : at + size] = b"" if rng.integers(2) else rng.bytes(size) + data[at : at + size]
         arrangement = arranged_767(data[: int(rng.integers(len(data) // 2, len(data) + 1))])
         for number, frames in arrangement.frames.items():

@@ -82,7 +82,8 @@ def texts(series) -> list:
     ids=["vec", "xml", "csv"],
 )
 def test_every_format_of_a_map_reads_the_same_values(layout, names, more):
-    ours, theirs = read(RECORDING), read(RECORDING, layout)
+    ours = read(RECORDING)
+    theirs = read(RECORDING, layout)
     assert {n.replace(" ", "_") for n in layout.parameters} == {*names.split(), *more.split()}
     for name in names.split():
         assert theirs[name].valid.all(), name
@@ -94,7 +95,8 @@ def test_every_format_of_a_map_reads_the_same_values(layout, names, more):
 
 
 def test_a_vec_has_numbers_and_text_as_listed_and_whole():
-    series, ours = read(RECORDING, VEC), read(RECORDING)["FREQUENCY"]
+    series = read(RECORDING, VEC)
+    ours = read(RECORDING)["FREQUENCY"]
     np.testing.assert_allclose(series["FREQUENCY"].value, 100 * (ours.value - 100))
     np.testing.assert_allclose(series["FREQUENCY.whole"].value, ours.value)
     assert texts(series["FREQUENCY"]) == texts(ours)
@@ -137,7 +139,8 @@ def test_a_garbled_map_is_read_or_told_of():
 def garble(text: str, rng: np.random.Generator) -> str:
     chars = list(text)
     for _ in range(rng.integers(1, 5)):
-        at, size = int(rng.integers(len(chars))), int(rng.integers(1, 8))
+        at = int(rng.integers(len(chars)))
+        size = int(rng.integers(1, 8))
         match rng.integers(5):
             case 0:
                 del chars[at : at + size]
@@ -178,7 +181,8 @@ def test_a_vec_of_arinc_767_reads_the_same_values():
     frd = "\n".join([*heads, *reversed(orders), *short])
     layout = read_vec(archive(vec(par="\n".join(map(meaning, own)), frd=frd)))
     data = frames_767(DEMO_767, raw_767(5))
-    ours, theirs = read(data, DEMO_767), read(data, layout)
+    ours = read(data, DEMO_767)
+    theirs = read(data, layout)
     assert {f.size for f in layout.frames.values()} == {DEMO_767.frames[n].size for n in (3, 4)}
     for p in own:
         np.testing.assert_allclose(theirs[p.name[:9]].value, ours[p.name].value)

@@ -75,7 +75,8 @@ def test_any_bits_of_any_frame_come_back(words, packing, before_bits, parameters
     free = rng.permutation(np.arange(2, words))
     by_name = {}
     for i, word in enumerate(free[:parameters]):
-        bits, rate = int(rng.integers(1, 13)), int(rng.choice([1, 2, 4]))
+        bits = int(rng.integers(1, 13))
+        rate = int(rng.choice([1, 2, 4]))
         low = int(rng.integers(0, 13 - bits))
         samples = tuple(Sample(float(s), (Piece(s * words + int(word), low, bits),)) for s in range(0, 4, 4 // rate))
         by_name[f"P{i}"] = Parameter(f"P{i}", Coding("binary", bits=bits), samples, rate / 4)
