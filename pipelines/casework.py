@@ -8,8 +8,9 @@ from typing import Any
 import polars as pl
 
 from hdt_core.alerts.succession import KINDS_OF_NIGHT, WITHDRAW
+from hdt_core.components.declaration import FAULTS, NO_FAULT
 from hdt_core.loading import UserError
-from pipelines.storage.cases import FAULTS, NO_FAULT, CaseLog
+from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import connect, fetch_dicts
 from pipelines.storage.publication import publish_lines
 

@@ -7,8 +7,9 @@ from typing import Any
 import polars as pl
 
 from hdt_core.alerts.cases import REPAIR
-from hdt_core.alerts.diagnoses import DIAGNOSES, FOUND_CLEAN, INSPECTIONS, NO_FAULT, RENEWED
+from hdt_core.alerts.diagnoses import DIAGNOSES, FOUND_CLEAN, INSPECTIONS, RENEWED
 from hdt_core.components import components
+from hdt_core.components.declaration import NO_FAULT
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import date_entries
 from hdt_core.tables.raw import CLOSES, RawMaintenance

@@ -18,6 +18,7 @@ from hdt_core.alerts import evidence
 from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, alert_id_of, fact_after, runs, sensor_of
 from hdt_core.alerts.evidence import Evidence, Facts
 from hdt_core.alerts.wear import RISE_MARGIN
+from hdt_core.components.declaration import INSPECTED, NO_FAULT
 from hdt_core.components.pack import CC, HX
 from hdt_core.health.detection import persistent
 from hdt_core.records.keys import PACK
@@ -153,7 +154,7 @@ DIAGNOSES = {
 }
 
 
-NO_FAULT, INSPECTIONS = "NO_FAULT_FOUND", ("INSPECTED",)
+INSPECTIONS = (INSPECTED,)
 RENEWED, FOUND_CLEAN = "renewed", "found_clean"
 LOSS = {"HX_FOULING": "hx_fouling", "HX_SUDDEN_CLOG": "hx_fouling", "CC_DEGRADED": "cc_efficiency_loss"}
 """Feature of the loss that a case of wear rests on."""

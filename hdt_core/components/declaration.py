@@ -20,6 +20,8 @@ CODE = r"[A-Z]{2,8}"
 """Pattern of a component's code."""
 REPLACED, CLEANED, INSPECTED, ADJUSTED = ACTIONS = ("REPLACED", "CLEANED", "INSPECTED", "ADJUSTED")
 """Actions of the maintenance log."""
+*FAULTS, NO_FAULT = FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
+"""Codes of an inspection's finding, in the maintenance log and in the log of cases."""
 
 
 @dataclass(frozen=True, slots=True)

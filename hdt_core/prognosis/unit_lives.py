@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import polars as pl
 
 from hdt_core.components import Component
+from hdt_core.components.declaration import NO_FAULT
 from hdt_core.components.pack import CC, HX
 from hdt_core.health.work import judge_component
 from hdt_core.records.keys import AIRCRAFT, LEG, PACK
@@ -240,5 +241,5 @@ def _credible_messages(
 
 def _cleared(maintenance: pl.DataFrame, component: Component) -> pl.DataFrame:
     """Return days on which an inspection found no fault in the component: `PACK`, `done_on`."""
-    is_clear = (pl.col("component") == component.code) & (pl.col("finding") == "NO_FAULT_FOUND")
+    is_clear = (pl.col("component") == component.code) & (pl.col("finding") == NO_FAULT)
     return maintenance.filter(is_clear).select(*PACK, "done_on")

@@ -74,7 +74,9 @@ class PrognosisChoices(ComponentLegTable):
     departed_at = moment("first recorded time")
     loss_left = number("loss after it, the mean of what it may leave", "-")
     loss_left_sd = number("spread of what it may leave", "-", 0)
-    rests_on = text("what the share rests on that a wash leaves: prior, or the number of washes after like losses")
+    rests_on = text(
+        "what the share rests on that a wash leaves: prior, or the number of washes after like losses and findings"
+    )
     p_event_25 = _chance_within(25)
     p_event_50 = _chance_within(50)
     p_event_100 = _chance_within(100)

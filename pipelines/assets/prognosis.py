@@ -55,7 +55,7 @@ def prognosis(
     stored = home.store.read_table("prognosis_model").sort("month")
     candidate = load_base(prognosis_base["model"][0])
     in_service = _model_in_service(stored, home.store)
-    washes = _washes_on_record(features, features_components, features_work)
+    washes = _washes_on_record(features, features_components, features_work, raw_maintenance)
     record = FleetRecord(features, raw_messages, raw_maintenance, washes)
     update = update_model(candidate, in_service, record, _design(calibration_dsm, calibration_schedules))
     base = prognosis_base if not update.months or update.newest.model.hazard is candidate.hazard else stored
@@ -74,15 +74,23 @@ FEATURE_COLUMNS = (*PACK, "flight_id", "departed_at", *LOSSES)
 
 
 def _washes_on_record(
-    features: pl.DataFrame, features_components: pl.DataFrame, features_work: pl.DataFrame
+    features: pl.DataFrame,
+    features_components: pl.DataFrame,
+    features_work: pl.DataFrame,
+    raw_maintenance: pl.DataFrame,
 ) -> dict[str, Washes]:
     """Measure the washes of each component."""
     exchangers = features.select(
         *PACK, "departed_at", component=pl.lit(HX.code), loss="hx_fouling", loss_sd="hx_fouling_sd"
     )
     losses = pl.concat([exchangers, features_components.select(exchangers.columns)])
-    washed = features_work.filter(action=CLEANED).partition_by("component", as_dict=True)
-    return {code: learn_washes(losses.filter(component=code), work) for (code,), work in washed.items()}
+    washed = features_work.filter(action=CLEANED)["component"].unique()
+    return {
+        code: learn_washes(
+            losses.filter(component=code), features_work.filter(component=code), raw_maintenance.filter(component=code)
+        )
+        for code in washed
+    }
 
 
 def _design(calibration_dsm: pl.DataFrame, calibration_schedules: pl.DataFrame) -> str:

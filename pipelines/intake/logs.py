@@ -14,6 +14,7 @@ from typing import Any
 import polars as pl
 
 from hdt_core.components import ACTIONS, components
+from hdt_core.components.declaration import FINDINGS
 from hdt_core.tables.raw import CLOSES, RawChecks, RawFleet, RawMaintenance, RawMessages
 from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
@@ -32,7 +33,6 @@ from pipelines.intake.landing_file import (
     zone_note,
 )
 from pipelines.intake.text import Text, open_text, to_columns
-from pipelines.storage.cases import FINDINGS
 
 Row = tuple[object, ...]
 Words = dict[str, str]

@@ -30,8 +30,6 @@ from pipelines.storage.database import URL, Database, query_value
 from pipelines.storage.objects import message_of
 
 FILE = "cases.sqlite"
-*FAULTS, NO_FAULT = FINDINGS = ("FOULED", "CLOGGED", "CORRODED", "DAMAGED", "NO_FAULT_FOUND")
-"""Codes of an inspection's finding, in the maintenance log and in the log of cases."""
 _SCHEMA = """create table if not exists cases (
     line bigint primary key, at text not null, alert_id text not null, operator text not null, tail text not null,
     pack integer, component text not null, diagnosis text not null, kind text not null, person text not null,

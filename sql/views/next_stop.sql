@@ -9,7 +9,7 @@
 -- flights_per_day: as in flight_rates
 -- loss_left: what the choice leaves of the loss, the mean of what it may leave [-]
 -- loss_left_sd: spread of what it may leave [-]
--- rests_on: what the effect of a wash rests on: prior, or the number of washes of the fleet after like losses
+-- rests_on: what the effect of a wash rests on: prior, or the number of washes of the fleet after like losses and findings
 -- chance: of a message by then, with this choice [-]
 -- chance_at_least: of 300 flights, where the check lies beyond them [-]
 -- cost: of the work; of defer that at the check [currency]

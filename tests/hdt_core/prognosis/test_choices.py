@@ -19,9 +19,13 @@ PACK_1 = {"operator": "XXX", "tail": "LX-T00", "pack": 1}
 START = datetime(2024, 1, 1, tzinfo=UTC)
 
 
-def washed(n: int, loss: float = 0.2, share_left: float = 0.6) -> Washes:
+UNSEEN = np.array([""])
+VALUES = ("loss", "share_left", "share_left_sd", "found")
+
+
+def washed(n: int, loss: float = 0.2, share_left: float = 0.6, found: str = "") -> Washes:
     """So many washes after the same loss, measured without an error."""
-    return Washes(np.full(n, loss), np.full(n, share_left), np.zeros(n))
+    return Washes(np.full(n, loss), np.full(n, share_left), np.zeros(n), np.full(n, found))
 
 
 @given(
@@ -51,7 +55,7 @@ def test_chance_never_rises_with_thoroughness(loss, chances, n_washes):
 
 @given(loss=st.floats(-0.1, 0.9), share_left=st.floats(0.0, 1.0), n_washes=st.integers(0, 9))
 def test_wash_leaves_between_nothing_and_all(loss, share_left, n_washes):
-    left = washed(n_washes, loss, share_left).losses_left(np.array([loss]))
+    left = washed(n_washes, loss, share_left).losses_left(np.array([loss]), UNSEEN)
 
     assert (left >= min(loss, 0.0)).all()
     assert (left <= loss).all()
@@ -74,28 +78,76 @@ def test_deferring_is_the_published_prognosis(fleet):
 def test_few_like_washes_leave_the_prior(n_washes, loss, rests_on):
     washes, losses = washed(n_washes), np.array([loss])
 
-    mean, sd = washes.share_left_of(losses)
+    mean, sd = washes.share_left_of(losses, UNSEEN)
 
-    assert washes.rests_on(losses) == [rests_on]
+    assert washes.rests_on(losses, UNSEEN) == [rests_on]
     assert ((mean, sd) == (WASH_LEAVES, WASH_LEAVES_SD)) == (rests_on == "prior")
 
 
 def test_prior_counts_as_one_wash():
-    mean, sd = washed(5).share_left_of(np.array([0.2]))
+    mean, sd = washed(5).share_left_of(np.array([0.2]), UNSEEN)
 
     assert mean[0] == pytest.approx((5 * 0.6 + WASH_LEAVES) / 6)
     assert sd[0] == pytest.approx(np.sqrt((WASH_LEAVES_SD**2 + 0.25**2 + 5 * 0.05**2) / 6))
 
 
-def test_shown_washes_are_measured():
+@pytest.mark.parametrize(("found", "share_left"), [("CLOGGED", 0.1), ("FOULED", 0.6), ("", 0.35)])
+def test_wash_takes_away_what_it_did_of_units_found_so(found, share_left):
+    clogged, fouled = washed(500, share_left=0.1, found="CLOGGED"), washed(500, share_left=0.6, found="FOULED")
+    both = Washes(*(np.concatenate([getattr(w, name) for w in (clogged, fouled)]) for name in VALUES))
+
+    mean, _ = both.share_left_of(np.array([0.2]), np.array([found]))
+
+    assert mean[0] == pytest.approx(share_left, abs=0.001)
+
+
+def test_units_found_as_few_washed_leave_the_prior():
+    assert washed(9, found="FOULED").rests_on(np.array([0.2]), np.array(["CLOGGED"])) == ["prior"]
+
+
+def log_line(day: int, action: str, finding: str) -> dict:
+    at = START + timedelta(days=day)
+    work = {"position": 1, "flown_from": at, "in_force": True, "is_shown": True}
+    return PACK_1 | work | {"action": action, "finding": finding, "counts_from": at}
+
+
+def learned(*lines: dict) -> Washes:
+    """Washes of a pack that lost 20 % until day 20 and 5 % since."""
     flights = pl.DataFrame([PACK_1 | {"departed_at": START + timedelta(days=k)} for k in range(40)])
     losses = flights.with_columns(loss=np.repeat([0.2, 0.05], 20), loss_sd=0.01)
-    work = pl.DataFrame(
-        [PACK_1 | {"position": 1, "action": "CLEANED", "flown_from": START + timedelta(days=20), "in_force": True}]
-    )
-    work = pl.concat([work.with_columns(is_shown=is_shown) for is_shown in (True, False)])
+    log = pl.DataFrame(lines)
+    return learn_washes(losses, log.filter(pl.col("action") != "INSPECTED"), log)
 
-    washes = learn_washes(losses, work)
+
+def test_shown_washes_are_measured():
+    wash = log_line(20, "CLEANED", "")
+
+    washes = learned(wash, wash | {"is_shown": False})
 
     assert washes.share_left.tolist() == pytest.approx([0.25])
     assert washes.loss.tolist() == pytest.approx([0.2])
+
+
+@pytest.mark.parametrize(
+    ("inspected_on", "own", "found"), [(18, "", "CLOGGED"), (18, "FOULED", "FOULED"), (22, "", ""), (-12, "", "")]
+)
+def test_finding_of_a_wash_is_its_own_or_that_of_an_inspection_before(inspected_on, own, found):
+    washes = learned(log_line(inspected_on, "INSPECTED", "CLOGGED"), log_line(20, "CLEANED", own))
+
+    assert washes.found.tolist() == [found]
+
+
+@pytest.mark.parametrize(
+    ("lines", "found"),
+    [
+        ([(18, "CLOGGED")], ""),
+        ([(20, "CLOGGED")], ""),
+        ([(25, "CLOGGED")], "CLOGGED"),
+        ([(25, "CLOGGED"), (26, "FOULED")], "FOULED"),
+        ([(25, "CLOGGED"), (26, "NO_FAULT_FOUND")], ""),
+    ],
+)
+def test_unit_is_as_last_inspected_since_its_work(lines, found):
+    washes = learned(log_line(20, "CLEANED", ""), *(log_line(day, "INSPECTED", finding) for day, finding in lines))
+
+    assert washes.found_of(pl.DataFrame([PACK_1], schema_overrides={"pack": pl.Int32})).tolist() == [found]
