@@ -226,7 +226,9 @@ def _replacing_catalog(store: Store, tables: Tables, *, from_last: bool) -> Iter
         finally:
             con.close()
         content_hash = hash_of(temporary.read_bytes())
-    (path.parent / HASH).write_text(content_hash)  # after a kill before this line the next catalog is built anew
+        # a kill about the rename leaves one of the two in place
+        _note_hashes(path.parent, [*_noted_hashes(path.parent)[-1:], content_hash])
+    _note_hashes(path.parent, [content_hash])
 
 
 def connect_as_of(home: Path, night: str, *, as_delivered: bool = False) -> duckdb.DuckDBPyConnection:
@@ -265,9 +267,21 @@ def connect_as_of(home: Path, night: str, *, as_delivered: bool = False) -> duck
 
 def _is_as_published(path: Path) -> bool:
     try:
-        return hash_of(path.read_bytes()) == (path.parent / HASH).read_text()
-    except (OSError, ValueError):
+        return hash_of(path.read_bytes()) in _noted_hashes(path.parent)
+    except OSError:
         return False
+
+
+def _noted_hashes(home: Path) -> list[str]:
+    try:
+        return (home / HASH).read_text().split()
+    except (OSError, ValueError):
+        return []
+
+
+def _note_hashes(home: Path, hashes: Sequence[str]) -> None:
+    with replacing(home / HASH) as temporary:
+        temporary.write_text(" ".join(hashes))
 
 
 def _names_in(home: Path) -> list[Name]:

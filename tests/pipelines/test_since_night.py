@@ -8,9 +8,10 @@ from pipelines.casework import change_case, find_case, list_cases
 from pipelines.digest.orders import work_orders
 from pipelines.orchestration.around_night import lock_home
 from pipelines.report.tasks import read_tasks
+from pipelines.storage import publication
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import connect
-from pipelines.storage.publication import publish
+from pipelines.storage.publication import HASH, publish
 
 RANKED = "select urgency, work_action, hx_fouling from fleet_ranking where tail = 'T-1'"
 CLOSED = "select closed_reason, outcome from alerts join alert_outcomes using (alert_id) where alert_id = 'wear'"
@@ -82,6 +83,23 @@ def test_a_night_publishes_later_lines(home):
     CaseLog(home).append(case, "acknowledge", "Ada")
     publish(home)
     assert rows(home, "select acknowledged_by from cases where alert_id = 'wear'") == [("Ada",)]
+
+
+@pytest.mark.parametrize("is_renamed", [True, False])
+def test_a_kill_at_the_rename_keeps_no_line_back(home, monkeypatch, is_renamed):
+    def write_until_killed(folder, hashes):
+        if is_renamed and len(hashes) == 1:
+            raise KeyboardInterrupt
+        (folder / HASH).write_text(" ".join(hashes))
+        if not is_renamed:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(publication, "_note_hashes", write_until_killed)
+        with pytest.raises(KeyboardInterrupt):
+            publish(home)
+    close(home, action="cleaned")
+    assert rows(home, RANKED)[0][1] == "CLEANED"
 
 
 def test_the_next_night_comes_to_the_same(own_home):
