@@ -1,5 +1,6 @@
 """The history of an airframe goes on under another operator and tail, and begins anew under a tail used again."""
 
+import shutil
 from pathlib import Path
 
 import duckdb
@@ -7,11 +8,15 @@ import polars as pl
 import pytest
 from nights import keep_base, run
 from polars.testing import assert_frame_equal
+from small_catalog import alert
 from zones import Zone, simulated
 
+from hdt_core.tables import TABLES
+from pipelines.casework import change_case, find_case
 from pipelines.report.explain import explain
 from pipelines.sharing import access_scope, export
 from pipelines.storage.catalog import CATALOG, connect
+from pipelines.storage.publication import publish
 from pipelines.storage.store import Store
 
 FIRST, ANEW, LEASED = ("AQX", "LX-AAC"), ("AQX", "LX-ZZC"), ("BZR", "LX-AAC")
@@ -216,3 +221,20 @@ def test_tail_used_again_begins_anew(sample_home, tmp_path):
     )
     assert [row[:2] for row in rows] == [("LX-AAC", "40002"), ("LX-AAC", "49999")]
     assert rows[1][2] < N_FLIGHTS - N_FIRST + 1
+
+
+def test_closing_reaches_renamed_airframe_at_once(renamed, tmp_path):
+    home = shutil.copytree(renamed[0], tmp_path / "home")
+    flown = Store(home).read_table("raw_flights").sort("departed_at").filter(operator=FIRST[0], tail=FIRST[1])
+    last = {"operator": FIRST[0], "tail": FIRST[1], "now_flight_id": flown["flight_id"][-1]}
+    raised = (
+        alert("wear", 30) | last | {"raised_flight_id": flown["flight_id"][3], "raised_at": flown["departed_at"][3]}
+    )
+    schema = TABLES["features_alerts"].schema
+    Store(home).replace("features_alerts", [FIRST], schema.conform(pl.DataFrame([raised])))
+    publish(home)
+
+    change_case(home, find_case(home, "wear"), "close", "Ada", finding="clean")
+
+    closed = query(home, "select operator, tail, closed_reason from alerts where alert_id = 'wear'")
+    assert closed == [(*renamed[1], "found_clean")]
