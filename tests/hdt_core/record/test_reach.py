@@ -1,0 +1,65 @@
+"""Which flights are out of reach of their aircraft's others and of the fleet's."""
+
+from datetime import UTC, date, datetime, timedelta
+
+import polars as pl
+import pytest
+
+from hdt_core.record.reach import out_of_reach
+
+START = datetime(2024, 1, 1, tzinfo=UTC)
+HOME, AWAY = ("AAA", "LX-1"), ("BBB", "LX-2")
+
+
+def flown(aircraft: tuple[str, str], *days: float, hours: float = 2.0) -> pl.DataFrame:
+    """A flight on each of these days."""
+    operator, tail = aircraft
+    rows = [
+        {
+            "operator": operator,
+            "tail": tail,
+            "flight_id": f"{operator}_{tail}_{day}",
+            "departed_at": START + timedelta(days=day),
+            "landed_at": START + timedelta(days=day, hours=hours),
+            "source": "acms",
+        }
+        for day in days
+    ]
+    return pl.DataFrame(rows)
+
+
+def held_days(*flights: pl.DataFrame, delivered_on: date | None = None) -> list[int]:
+    """Days of the flights out of reach."""
+    delivery = pl.DataFrame(
+        [(*HOME, delivered_on)],
+        schema={"operator": pl.String, "tail": pl.String, "delivered_on": pl.Date},
+        orient="row",
+    )
+    held = out_of_reach(pl.concat(flights), delivery)
+    return sorted(int(name.rpartition("_")[2]) for name in held["flight_id"])
+
+
+RECORD = flown(HOME, *range(30))
+
+
+@pytest.mark.parametrize(("day", "held"), [(39, []), (200, [200])])
+def test_few_flights_beyond_the_longest_pause_are_held(day, held):
+    assert held_days(RECORD, flown(HOME, day)) == held
+
+
+def test_flight_that_lands_late_bridges_the_pause():
+    """A clock that ran on at the end of one flight moves no later flight out of reach."""
+    late = flown(HOME, 30, hours=24 * 24)
+    assert held_days(RECORD, late, flown(HOME, 31, 53)) == []
+
+
+def test_same_tail_of_another_operator_is_company():
+    other = flown(("BBB", "LX-1"), *range(95, 110))
+    assert held_days(RECORD, flown(HOME, 100), other) == []
+
+
+def test_flights_before_delivery_have_no_company():
+    other = flown(AWAY, *range(60))
+    early = flown(HOME, 0)
+    record = flown(HOME, *range(40, 70))
+    assert held_days(record, early, other, delivered_on=date(2024, 2, 5)) == [0]
