@@ -11,6 +11,7 @@ from hdt_core.calibration.arrays import Array, flights_of
 from hdt_core.calibration.diffuser_line import FAR_SD
 from hdt_core.components import Component
 from hdt_core.estimation import Estimate, Estimator, NonlinearLeastSquares, estimators
+from hdt_core.estimation.batch import Batch
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.estimate import estimate_each
 from hdt_core.estimation.problem import Belief, Problem, unknown
@@ -219,8 +220,8 @@ def flight_by_flight(
     start = np.array([model.param(name).bounds for name in free]).mean(axis=1)
     problem = samples_problem(complete, model, free, outputs, unknown(start) if prior is None else prior)
     key = pl.struct(FLIGHT_PACK)
-    problem = replace(problem, group=complete.select(key.rle_id().cast(pl.Int64))[:, 0].to_numpy())
-    estimates = estimate_each(estimator or NonlinearLeastSquares(), problem) if complete.height else []
+    flights_of_samples = Batch.of(problem, complete.select(key.rle_id().cast(pl.Int64))[:, 0].to_numpy())
+    estimates = estimate_each(estimator or NonlinearLeastSquares(), flights_of_samples) if complete.height else []
     posterior = [(*e.belief.mean.tolist(), *e.belief.sd.tolist(), e.status, e.n_evals) for e in estimates]
     schema = dict.fromkeys((*free, *(f"{name}_sd" for name in free)), pl.Float64())
     values = pl.DataFrame(posterior, schema=schema | {"status": pl.String(), "n_evals": pl.Int64()}, orient="row")

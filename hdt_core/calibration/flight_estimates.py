@@ -16,8 +16,9 @@ from hdt_core.calibration.inlet_law import inlet_above_law
 from hdt_core.calibration.sensor_biases import exit_differences
 from hdt_core.components import Component
 from hdt_core.components.pack import PARTS, Parts
+from hdt_core.estimation.batch import Batch
 from hdt_core.estimation.descent import gauss_newton
-from hdt_core.estimation.problem import Problem, unknown
+from hdt_core.estimation.problem import unknown
 from hdt_core.flight.samples import RUNNING_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance, with_static_pressure
 from hdt_core.physics.model import Array
@@ -229,7 +230,7 @@ def _locate(rows: pl.DataFrame, column: str, name: str) -> pl.DataFrame:
     variance = ((MAD_TO_SD * deviations["a"].to_numpy()) ** 2 * count + SAMPLE_SD**2 * 5.0) / (count + 5.0)
     scale = np.sqrt(variance)
     sample_scale = scale[group]
-    problem = Problem(
+    problem = Batch(
         names=(name,), bounds=np.array([[-np.inf, np.inf]]), prior=unknown(np.zeros(1)), group=group,
         measured=(value / sample_scale)[:, None], sigma=np.ones(1),
         observe=lambda _x, theta, i: theta / sample_scale[i],

@@ -59,8 +59,7 @@ def linearise(problem: Problem, theta: Array, weigh: Weigh | None = None) -> tup
 
     `weigh` gives the weight of each residual (k, m), which is over its standard deviation.
     """
-    at = theta[0] if problem.group is None else theta
-    residual, slope = problem.linearised(at)
+    residual, slope = problem.linearised_each(theta)
     slope = slope.reshape(*residual.shape, theta.shape[1])
     deviation = theta - problem.prior.mean
     information = problem.prior.information

@@ -119,10 +119,11 @@ class Problem:
         The states at k samples from the mean start, as repeated transitions give them; quicker than these.
     kernels : Kernels, optional
         Compiled equivalents of the above.
-    group : array (k,) of int, optional
-        Batch axis: the record is that of b problems of one model without states, each sample that of the problem of
-        this number; numbers count from 0 without gaps and ascend. Parameters are then arrays (b, n), and what is one
-        number for a problem is an array (b,).
+
+    Notes
+    -----
+    Methods that estimate many problems side by side take `batch.Batch`, of which this is one of a single problem: what
+    they are given and return by problem has a first axis of one.
     """
 
     names: tuple[str, ...]
@@ -138,12 +139,9 @@ class Problem:
     half_steps: Transition | None = None
     trajectory: Trajectory | None = None
     kernels: Kernels | None = None
-    group: Integers | None = None
 
     def __post_init__(self) -> None:
         n = len(self.names)
-        if self.group is not None and (self.transition is not None or self.group.shape != (len(self.measured),)):
-            raise ValueError("a batch is of models without states, and every sample names its problem")
         if self.bounds.shape != (n, 2) or self.prior.mean.shape != (n,) or self.prior.cov.shape != (n, n):
             raise ValueError(f"{n} names, but bounds {self.bounds.shape} and a prior of {self.prior.mean.shape}")
         if self.measured.ndim != 2 or self.measured.shape[1:] != self.sigma.shape:
@@ -175,49 +173,26 @@ class Problem:
         """Number of measured values that are not missing."""
         return int(np.count_nonzero(~np.isnan(self.measured)))
 
-    @cached_property
-    def first(self) -> Integers:
-        """First row of every problem of the batch. (b,)"""
-        if self.group is None:
-            return np.zeros(1, np.int64)
-        return np.searchsorted(self.group, np.arange(self.group[-1] + 1 if len(self.group) else 0))
-
     @property
     def n_problems(self) -> int:
-        """Number of problems in the batch, 1 where it is none."""
-        return len(self.first)
+        """Number of problems in the batch."""
+        return 1
 
     def sum_each(self, values: Array) -> Array:
         """Sum values of every sample over those of each problem: (k, ...) to (b, ...)."""
-        return np.asarray(values.sum(axis=0)[None] if self.group is None else np.add.reduceat(values, self.first))
+        return np.asarray(values.sum(axis=0)[None])
 
     def select(self, problems: Integers) -> Problem:
         """Return the batch of these problems (numbers, ascending) alone."""
-        if self.group is None or len(problems) == self.n_problems:
-            return self
-        is_among = np.zeros(self.n_problems, bool)
-        is_among[problems] = True
-        rows = np.flatnonzero(is_among[self.group])
-        return self._rows(rows, (np.cumsum(is_among) - 1)[self.group[rows]])
+        return self
 
     def single(self, number: int) -> Problem:
         """Return one problem of the batch by itself."""
-        if self.group is None:
-            return self
-        return self._rows(np.arange(*np.searchsorted(self.group, [number, number + 1])), None)
-
-    def _rows(self, rows: Integers, group: Integers | None) -> Problem:
-        def observe(x: Array, theta: Array, i: Sample) -> Array:
-            return self.observe(x, theta, rows[i])
-
-        return replace(self, measured=self.measured[rows], observe=observe, group=group)
+        return self
 
     def simulate(self, theta: Array) -> Array:
-        """Simulate outputs without noise from the mean start: theta (n,) to (k, m), (p, n) to (p, k, m).
-
-        Of a batch (b, n) to (k, m), (p, b, n) to (p, k, m).
-        """
-        thetas = theta[None] if np.ndim(theta) == (1 if self.group is None else 2) else theta
+        """Simulate outputs without noise from the mean start: theta (n,) to (k, m), (p, n) to (p, k, m)."""
+        thetas = theta[None] if np.ndim(theta) == self._n_axes else theta
         outputs = self._simulate(thetas) if self.kernels is None else self.kernels.simulate(thetas)
         return outputs if thetas is theta else outputs[0]
 
@@ -225,8 +200,7 @@ class Problem:
         n_samples, n_outputs = self.measured.shape
         if self.transition is None:
             nothing = np.empty((0, 1, 1))
-            of_sample = thetas.T[:, :, None] if self.group is None else np.moveaxis(thetas[:, self.group], -1, 0)
-            outputs = np.asarray(self.observe(nothing, of_sample, np.arange(n_samples)))
+            outputs = np.asarray(self.observe(nothing, self._of_samples(thetas), np.arange(n_samples)))
             return np.broadcast_to(outputs, (n_outputs, len(thetas), n_samples)).transpose(1, 2, 0)
         if self.trajectory is not None:
             states = np.moveaxis(self.trajectory(thetas.T, n_samples), 0, -1)
@@ -250,19 +224,13 @@ class Problem:
         return np.where(np.isnan(self.measured), 0.0, np.where(np.isfinite(residual), residual, np.inf))
 
     def chi2(self, thetas: Array) -> Array:
-        """Compute the weighted sum of squares of every row of `thetas` (p, n): (p,). Infinite where the model fails.
-
-        Of a batch (p, b, n) to (p, b).
-        """
+        """Compute the weighted sum of squares of every row of `thetas` (p, n): (p,). Infinite where the model fails."""
         if self.kernels is not None:
             return self.kernels.chi2(thetas)
         with np.errstate(all="ignore"):
             missing = np.isnan(self.measured)
             residual = np.where(missing, 0.0, (self.simulate(thetas) - self.measured) / self.sigma)
-            if self.group is None:
-                total = np.einsum("pkm,pkm->p", residual, residual)
-            else:
-                total = np.add.reduceat(np.einsum("pkm,pkm->pk", residual, residual), self.first, axis=1)
+            total = self._sum_of_squares(residual)
         return np.where(np.isfinite(total), total, np.inf)
 
     def objective(self, thetas: Array) -> Array:
@@ -272,8 +240,8 @@ class Problem:
         return self.chi2(thetas) + distance
 
     def objective_each(self, thetas: Array) -> Array:
-        """Compute the objective of each problem of a batch, of one where this is none: (p, b, n) to (p, b)."""
-        return self.objective(thetas[:, 0])[:, None] if self.group is None else self.objective(thetas)
+        """Compute the objective of each problem of the batch: (p, b, n) to (p, b)."""
+        return self.objective(thetas[:, 0])[:, None]
 
     def sensitivity(self, theta: Array) -> Array:
         """Compute d residual / d theta by central differences kept inside the bounds, (k * m, n)."""
@@ -295,6 +263,10 @@ class Problem:
             slope = self._differences(outputs[:-1], width)
             return self._residual(outputs[-1]), self._recorded(slope)
 
+    def linearised_each(self, theta: Array) -> tuple[Array, Array]:
+        """Compute `residual` and `sensitivity` at `theta` (b, n) of each problem of the batch."""
+        return self.linearised(theta[0])
+
     def _recorded(self, slope: Array) -> Array:
         """Return a slope (k, m, n) as rows (k * m, n), zero where no value is measured."""
         return np.where(np.isnan(self.measured)[..., None], 0.0, slope).reshape(-1, slope.shape[-1])
@@ -307,14 +279,27 @@ class Problem:
         below = np.maximum(theta - step, self.bounds[:, 0])
         units = np.eye(n).reshape(n, *(1,) * (theta.ndim - 1), n)
         ends = np.concatenate([theta + units * (above - theta), theta + units * (below - theta)])
-        width = np.moveaxis(np.where(above > below, above - below, np.inf), -1, 0)
-        return ends, width[:, None, None] if self.group is None else width[:, self.group, None]
+        width = np.where(above > below, above - below, np.inf)
+        return ends, self._of_samples(width[None])[:, 0, :, None]
 
     def _differences(self, outputs: Array, width: Array) -> Array:
         """Compute the slope (k, m, n) of outputs / sigma from `outputs` (2 n, k, m) at perturbed parameters."""
         n = len(width)
         slope = (outputs[:n] - outputs[n:]) / width / self.sigma
         return np.nan_to_num(np.moveaxis(slope, 0, -1), nan=0.0, posinf=1e150, neginf=-1e150)
+
+    @property
+    def _n_axes(self) -> int:
+        """Number of axes of the parameters of one simulation."""
+        return 1
+
+    def _of_samples(self, values: Array) -> Array:
+        """Lay out values of parameters (p, ..., n) by sample: (n, p, k), or (n, p, 1) where all samples share them."""
+        return values.T[:, :, None]
+
+    def _sum_of_squares(self, residual: Array) -> Array:
+        """Sum squares of residuals (p, k, m) over samples and outputs."""
+        return np.asarray(np.einsum("pkm,pkm->p", residual, residual))
 
     def with_prior(self, prior: Belief) -> Problem:
         """Replace the prior."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, unknown
+from hdt_core.estimation.batch import Batch
 from hdt_core.estimation.descent import gauss_newton
 from hdt_core.estimation.estimate import estimate_each
 from hdt_estimators import ParticleFilter
@@ -106,7 +107,7 @@ GROUP = np.repeat(np.arange(7), 12)
 NOISE = 0.02 * np.random.default_rng(3).standard_normal((84, 1))
 
 
-def decays(**more) -> Problem:
+def decays(**more) -> Batch:
     """Seven decays: two plain; a value missing; a misfit; none at all; a rate at its bound; hardly a decay."""
     level = np.repeat([2.0, 1.0, 1.5, 1.0, 0.0, 3.0, 1.0], 12)
     rate = np.repeat([1.0, 2.0, 0.7, 1.0, 0.0, 9.0, 0.01], 12)
@@ -116,7 +117,7 @@ def decays(**more) -> Problem:
     fields = {"names": ("level", "rate"), "bounds": np.array([[-9.0, 9.0], [-0.5, 5.0]]),
               "prior": unknown(np.array([1.0, 1.0])), "measured": measured, "sigma": np.array([0.02]), "group": GROUP,
               "observe": lambda _x, theta, i: (theta[0] * np.exp(-theta[1] * TIME[i]))[None]}  # fmt: skip
-    return Problem(**(fields | more))
+    return Batch(**(fields | more))
 
 
 @pytest.mark.parametrize(
@@ -134,7 +135,7 @@ def test_a_batch_is_its_problems_one_by_one(more, open_ones):
     for b, estimate in enumerate(together):
         rows = b == GROUP
         alone = replace(
-            batch, group=None, measured=batch.measured[rows],
+            batch.single(b), measured=batch.measured[rows],
             observe=lambda _x, theta, i, t=TIME[rows]: (theta[0] * np.exp(-theta[1] * t[i]))[None],
         )  # fmt: skip
         single = NonlinearLeastSquares().estimate(alone)
@@ -182,7 +183,7 @@ def test_reweighted_steps_are_hubers_location():
     """Of each group: the weighted mean of ten, whose weights fall beyond 1.345 deviations from the last centre."""
     y = np.array([0.0, 0.1, -0.2, 0.3, 9.0, 5.0, 5.1, 4.8, -3.0, 5.2])
     group, sd = np.repeat([0, 1], 5), 0.3
-    batch = Problem(("centre",), np.array([[-99.0, 99.0]]), unknown(np.zeros(1)), y[:, None], np.array([sd]),
+    batch = Batch(("centre",), np.array([[-99.0, 99.0]]), unknown(np.zeros(1)), y[:, None], np.array([sd]),
                     lambda _x, theta, i: (theta[0] + 0.0 * i)[None], group=group)  # fmt: skip
     weights = lambda residual: 1.0 / np.maximum(1.0, np.abs(residual) / 1.345)  # noqa: E731
     theta, cov = gauss_newton(batch, np.array([[0.1], [5.0]]), 3, weights)
