@@ -57,7 +57,7 @@ def lines_of_night(
     new_ids = alerts.keys() - old_ids
     followed = _assign(_pairs(lost_cases, now, last_at), new_ids)
     joined = set(followed.values())
-    in_use = {*held_cases, *followed}
+    in_use = {*entries["case_id"], *followed}
     # a case that others join is written down before them, and one whose name is another's by now gets a name
     own_cases = {a: new_id() if a in in_use else a for a in sorted(alerts.keys() - set(held_cases.values()))}
     begun = {c: a for a, c in own_cases.items() if (a in joined and a not in new_ids) or (a not in joined and c != a)}

@@ -5,7 +5,7 @@ from itertools import count, pairwise
 
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from small_catalog import OWN, START, alert, catalog
 
@@ -94,6 +94,7 @@ nights = st.lists(st.lists(spans, max_size=3, unique_by=lambda s: s[0]), min_siz
 
 
 @settings(max_examples=60)
+@example(moves=[[(0, None)], [(3, 4)], [(0, 1)], [(2, None)]])
 @given(nights)
 def test_no_case_is_lost_or_shared(moves: list[list[Span]]) -> None:
     made = [alerts(*night) for night in moves]
