@@ -17,6 +17,7 @@ from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, alert_id_of, open_
 from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis, apply_inspections, close_after_work
 from hdt_core.alerts.disturbances import Disturbances, door_cases, find_disturbances
 from hdt_core.alerts.evidence import HIGH_SEVERITY_SHARE, declared_loss
+from hdt_core.alerts.facts import LossFacts
 from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases, odds_above
 from hdt_core.components import Component
 from hdt_core.health.detection import persistent
@@ -74,7 +75,7 @@ def as_alerts(grid: Grid, maintenance: pl.DataFrame, cases: list[Case], limits: 
 
 
 def alert_rows(
-    grid: Grid, maintenance: pl.DataFrame, cases: list[Case], diagnoses: Mapping[str, Diagnosis]
+    grid: Grid, maintenance: pl.DataFrame, cases: list[Case], diagnoses: Mapping[str, Diagnosis[Any]]
 ) -> pl.DataFrame:
     """Return cases as rows of the catalog, in order of the flights that raised them."""
     replacements = _replacement_times(maintenance, {diagnoses[case.diagnosis].component for case in cases})
@@ -91,7 +92,7 @@ def wear_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, disturbanc
     return exchangers + low + compressors
 
 
-def _alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis) -> tuple[Any, ...]:
+def _alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis[Any]) -> tuple[Any, ...]:
     """Return a case as a row of `SCHEMA`."""
     operator, tail, pack = grid.units.row(case.unit)
     n_flights = grid.count(case.unit)
@@ -121,7 +122,7 @@ def _replacement_times(maintenance: pl.DataFrame, components: Iterable[str]) -> 
     return times
 
 
-def _count_units(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis) -> int | None:
+def _count_units(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis[Any]) -> int | None:
     """Count the units at this position in the `REPEAT_DAYS` before the case was raised, its own included.
 
     None where the log's component is not a single unit: sensors and a door's drive.
@@ -134,7 +135,7 @@ def _count_units(grid: Grid, replacements: Replacements, case: Case, kind: Diagn
     return 1 + sum(raised_at - timedelta(REPEAT_DAYS) < moment <= raised_at for moment in moments)
 
 
-def _action_of(kind: Diagnosis, units: int | None) -> str:
+def _action_of(kind: Diagnosis[Any], units: int | None) -> str:
     """Return the action, after a search for the cause where units at a position are replaced too often."""
     if units is None or units < REPEAT_UNITS:
         return kind.action
@@ -209,7 +210,7 @@ def component_features(
     return columns.select(*KEYS, pl.lit(component.code).alias("component"), loss, *trends)
 
 
-def diagnosis_of(component: Component, limits: Limits) -> Diagnosis:
+def diagnosis_of(component: Component, limits: Limits) -> Diagnosis[LossFacts]:
     """Return the diagnosis of a worn component, with the texts of its declaration."""
     return Diagnosis(
         code=component.diagnosis,
@@ -217,9 +218,9 @@ def diagnosis_of(component: Component, limits: Limits) -> Diagnosis:
         name=f"{component.name} worn",
         action=component.action,
         ended_by=component.ended_by,
-        severity=lambda facts: "high" if facts["loss"] > HIGH_SEVERITY_SHARE * component.limit.mean else "medium",
+        record=LossFacts,
+        severity=lambda facts: "high" if facts.loss > HIGH_SEVERITY_SHARE * component.limit.mean else "medium",
         evidence=lambda facts, since: declared_loss(component, limits, facts, since),
-        features=("loss", "loss_sd", "loss_slope_30_per_flight", "loss_step_3"),
     )
 
 

@@ -10,13 +10,15 @@ growing after an inspection without a finding, the sensors behind the estimate a
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import polars as pl
 
 from hdt_core.alerts import evidence
 from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, alert_id_of, fact_after, runs, sensor_of
-from hdt_core.alerts.evidence import Evidence, Facts
+from hdt_core.alerts.evidence import Evidence
+from hdt_core.alerts.facts import CompressorFacts, DoorFacts, ExchangerFacts, Facts, MarginFacts, SensorFacts
 from hdt_core.alerts.wear import RISE_MARGIN
 from hdt_core.components.declaration import INSPECTED, NO_FAULT
 from hdt_core.components.pack import CC, HX
@@ -25,9 +27,11 @@ from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import date_entries, select_entries
 from hdt_core.robust import Array
 
+F = TypeVar("F", bound=Facts)
+
 
 @dataclass(frozen=True, slots=True)
-class Diagnosis:
+class Diagnosis(Generic[F]):
     """One kind of case: its texts, its action and what ends it.
 
     Attributes
@@ -38,12 +42,12 @@ class Diagnosis:
         What to do, with its ATA task.
     ended_by : tuple of str
         Actions on the component that end the case, because another or a repaired part is fitted.
+    record : type
+        Facts that severity and evidence rest on.
     severity : callable
         `low`, `medium` or `high` by the facts of a moment.
     evidence : callable
         Evidence by the facts of a moment and the flight since which the finding holds.
-    features : tuple of str
-        Columns that are facts of any moment, beside those the case was raised with.
     addendum : callable, optional
         Text that the facts add to the action.
     ended_by_sound : bool
@@ -55,15 +59,16 @@ class Diagnosis:
     name: str
     action: str
     ended_by: tuple[str, ...]
-    severity: Callable[[Facts], str]
-    evidence: Callable[[Facts, str], Evidence]
-    features: tuple[str, ...] = ()
-    addendum: Callable[[Facts], str] = lambda facts: ""
+    record: type[F]
+    severity: Callable[[F], str]
+    evidence: Callable[[F, str], Evidence]
+    addendum: Callable[[F], str] = lambda facts: ""
     ended_by_sound: bool = True
 
-    def facts(self, grid: Grid, case: Case, flight: int) -> Facts:
+    def facts(self, grid: Grid, case: Case, flight: int) -> F:
         """Return the facts after a flight: those the case was raised with, and the latest features."""
-        return {**case.facts, **case.facts_at(flight), **{n: _latest(grid, n, case, flight) for n in self.features}}
+        own = case.facts | case.facts_at(flight)
+        return self.record.collect(own, lambda name: _latest(grid, name, case, flight))
 
 
 def _latest(grid: Grid, name: str, case: Case, flight: int) -> float:
@@ -73,19 +78,7 @@ def _latest(grid: Grid, name: str, case: Case, flight: int) -> float:
     return float(values[-1]) if values.size else np.nan
 
 
-_EXCHANGER = (
-    "hx_fouling", "hx_fouling_sd", "hx_fouling_slope_30_per_flight", "door_full_open_share",
-    "door_median_between_packs", "hx_fouling_between_packs", "ram_flow_loss",
-)  # fmt: skip
-_MARGIN = (
-    "hx_passage_100", "hx_passage_300", "hx_margin_k", "hx_margin_sd_k", "hx_margin_hot_day_k", "hx_margin_design_k",
-    "hx_margin_target_k", "hx_margin_flow_k", "hx_margin_ambient_k", "hx_margin_wear_k", "overheat_p20_k",
-)  # fmt: skip
-_COMPRESSOR = (
-    "cc_efficiency_loss", "cc_efficiency_loss_sd", "cc_diameter_loss", "cc_diameter_left", "cc_diameter_left_hot_high",
-)  # fmt: skip
-
-DIAGNOSES = {
+DIAGNOSES: dict[str, Diagnosis[Any]] = {
     d.code: d
     for d in (
         Diagnosis(
@@ -94,9 +87,9 @@ DIAGNOSES = {
             name="heat exchanger fouling",
             action=HX.action,
             ended_by=HX.ended_by,
+            record=ExchangerFacts,
             severity=evidence.exchanger_severity,
             evidence=evidence.exchanger,
-            features=_EXCHANGER,
         ),
         Diagnosis(
             code="HX_SUDDEN_CLOG",
@@ -105,9 +98,9 @@ DIAGNOSES = {
             action="Inspect ram air inlet and core face for foreign objects before the next long sector "
             "(ATA 21-52, detailed visual inspection)",
             ended_by=HX.ended_by,
+            record=ExchangerFacts,
             severity=lambda facts: "high",
             evidence=evidence.clog,
-            features=_EXCHANGER,
         ),
         Diagnosis(
             code="HX_LOW_MARGIN",
@@ -116,9 +109,9 @@ DIAGNOSES = {
             action="Check outlet target, flow schedule and ram door travel (ATA 21-53, rigging); a new exchanger alone "
             "does not help; keep the aircraft off hot sectors where it can be, and wash at the next stop",
             ended_by=HX.ended_by,
-            severity=lambda facts: "high" if facts["hx_passage_100"] > 0.5 else "medium",
+            record=MarginFacts,
+            severity=lambda facts: "high" if facts.hx_passage_100 > 0.5 else "medium",
             evidence=evidence.low_margin,
-            features=(*_EXCHANGER, *_MARGIN),
             ended_by_sound=False,  # its evidence already excludes wear as the only cause
         ),
         Diagnosis(
@@ -127,9 +120,9 @@ DIAGNOSES = {
             name="compressor worn",
             action=CC.action,
             ended_by=CC.ended_by,
+            record=CompressorFacts,
             severity=lambda facts: "medium",
             evidence=evidence.compressor,
-            features=_COMPRESSOR,
         ),
         Diagnosis(
             code="RAM_DOOR_FAULT",
@@ -137,7 +130,8 @@ DIAGNOSES = {
             name="ram air door fault",
             action="Operational test of the ram air inlet door and its actuator (ATA 21-53); rig or replace",
             ended_by=REPAIR,
-            severity=lambda facts: "high" if facts["kind"] == "jam" else "medium",
+            record=DoorFacts,
+            severity=lambda facts: "high" if facts.kind == "jam" else "medium",
             evidence=evidence.door,
         ),
         Diagnosis(
@@ -146,6 +140,7 @@ DIAGNOSES = {
             name="sensor fault",
             action="Check connector and wiring, then replace the sensor (ATA 21-61)",
             ended_by=REPAIR,
+            record=SensorFacts,
             severity=evidence.sensor_severity,
             evidence=evidence.sensor,
             addendum=evidence.sensor_addendum,
@@ -163,7 +158,10 @@ LIMIT_NAMES = {"HX_FOULING": "fouling", "CC_DEGRADED": "compressor"}
 
 
 def close_after_work(
-    grid: Grid, maintenance: pl.DataFrame, cases: list[Case], diagnoses: Iterable[Diagnosis] = tuple(DIAGNOSES.values())
+    grid: Grid,
+    maintenance: pl.DataFrame,
+    cases: list[Case],
+    diagnoses: Iterable[Diagnosis[Any]] = tuple(DIAGNOSES.values()),
 ) -> list[Case]:
     """Close each case at work on its component, whatever later flights show.
 

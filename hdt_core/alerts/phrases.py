@@ -34,10 +34,8 @@ BELOW_BY = "{k} K below"
 ABOVE_BY = "{k} K above"
 FAR_UNKNOWN = "at an unknown distance from"
 MARGIN_PARTS = "what makes the margin: {parts}"
-PARTS_OF_MARGIN = {
-    "design": "the design gives {k} K", "target": "target {k} K", "flow": "flow {k} K", "ambient": "air outside {k} K",
-    "wear": "wear and build {k} K",
-}  # fmt: skip
+BY_DESIGN, BY_TARGET, BY_FLOW = "the design gives {k} K", "target {k} K", "flow {k} K"
+BY_AIR, BY_WEAR = "air outside {k} K", "wear and build {k} K"
 NOT_WEAR_ALONE = "Heat transfer lost (hx_fouling) {loss}: wear alone does not explain it"
 WARM_OUTLET = "on the last flight the outlet was {k} K above its level, door full open"
 MARGIN_ELSE = "a cooler season, or an outlet sensor that reads high"

@@ -32,7 +32,6 @@ SAME_CLOG = 40
 """Flights within which a jump and the loss it leads to are one case."""
 MARGIN_SETTLED_FLIGHTS = 1
 """Flights of a new or washed unit before its margin counts; the rule needs four of five flights anyway."""
-MARGIN_FACTS = ("hx_margin_k", "hx_passage_300", "hx_fouling", "hx_fouling_sd", "overheat_p20_k")
 
 
 def hx_cases(
@@ -181,8 +180,7 @@ def low_margin_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, doub
                 if not worn.size:
                     continue
                 first = int(worn[0])
-        facts = {name: float(grid.track(name, unit)[first]) for name in MARGIN_FACTS}
-        facts["since"] = _last_start(soon[unit, : first + 1] > limits.passage)
+        facts = {"since": _last_start(soon[unit, : first + 1] > limits.passage)}
         cases.append(Case(unit, "HX", "HX_LOW_MARGIN", first, end, facts))
     return cases
 

@@ -1,5 +1,6 @@
 """Alerts of a pack without reserve though hardly worn, and of a declared component by its declaration alone."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.stats import norm
 
 from hdt_core.alerts.alerts import component_features, diagnosis_of, raise_alerts, raise_component_alerts
 from hdt_core.alerts.cases import Limits
+from hdt_core.alerts.facts import LossFacts
 from hdt_core.components import components
 
 SHORT = 40
@@ -149,7 +151,7 @@ def test_three_flights_of_four_are_held_for_fifteen_until_work_ends_it():
 def test_severity_and_evidence_in_figures():
     diagnosis = diagnosis_of(UNIT, Limits())
     for loss, severity in ((0.79 * FAILS, "medium"), (0.81 * FAILS, "high")):
-        facts = {"loss": loss, "loss_sd": 0.01, "loss_slope_30_per_flight": 0.0021, "loss_step_3": 0.101}
+        facts = LossFacts(loss=loss, loss_sd=0.01, loss_slope_30_per_flight=0.0021, loss_step_3=0.101)
         assert diagnosis.severity(facts) == severity
         evidence = diagnosis.evidence(facts, "F07")
         assert [w.role for w in evidence.corroborations] == ["Supports" if severity == "high" else "Neutral", "Neutral"]
@@ -159,9 +161,9 @@ def test_severity_and_evidence_in_figures():
         assert "2.1 points more every ten flights" in text
         assert "10 points came within three flights" in text
         assert f"it fails at about {100 * FAILS:.0f} %" in text
-    calm = {"loss": 0.3, "loss_sd": 0.0, "loss_slope_30_per_flight": 1e-5, "loss_step_3": 0.1}
+    calm = LossFacts(loss=0.3, loss_sd=0.0, loss_slope_30_per_flight=1e-5, loss_step_3=0.1)
     assert "points" not in diagnosis.evidence(calm, "F07").text()
-    assert "points" not in diagnosis.evidence(calm | {"loss_step_3": float("nan")}, "F07").text()
+    assert "points" not in diagnosis.evidence(replace(calm, loss_step_3=float("nan")), "F07").text()
 
 
 def test_features_of_one_component_under_one_name():

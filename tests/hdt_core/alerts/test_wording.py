@@ -1,5 +1,7 @@
 """The numbers of the evidence, from the facts of a moment."""
 
+from dataclasses import MISSING, fields
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -7,6 +9,7 @@ from scipy.stats import norm
 from hdt_core.alerts import evidence as wording
 from hdt_core.alerts.cases import FAILS_AT
 from hdt_core.alerts.diagnoses import DIAGNOSES
+from hdt_core.alerts.facts import CompressorFacts, DoorFacts, ExchangerFacts, Facts, MarginFacts, SensorFacts
 
 NAN = float("nan")
 WORN = {
@@ -16,8 +19,14 @@ WORN = {
 }  # fmt: skip
 
 
+def of(record: type[Facts], known: dict):
+    """A record of which nothing else is known."""
+    needed = (f.name for f in fields(record) if f.default is MISSING)
+    return record(**(dict.fromkeys(needed, NAN) | known))
+
+
 def text(rule, **changed: object) -> str:
-    return rule(WORN | changed, "F07").text()
+    return rule(of(ExchangerFacts, WORN | changed), "F07").text()
 
 
 def test_fouling_in_figures():
@@ -50,16 +59,18 @@ def test_fouling_in_figures():
     ],
 )
 def test_each_witness_at_its_edge(changed, role, words):
-    witnesses = wording.exchanger(WORN | changed, "F07").corroborations
+    witnesses = wording.exchanger(of(ExchangerFacts, WORN | changed), "F07").corroborations
     assert [w.role for w in witnesses if words in w.text] == [role]
 
 
 def test_packs_alike_have_no_word_on_the_door_and_chances_are_in_figures():
     for changed in ({"hx_fouling_between_packs": 0.05}, {"door_median_between_packs": NAN}):
-        message = wording.exchanger(WORN | changed, "F").text()
+        message = wording.exchanger(of(ExchangerFacts, WORN | changed), "F").text()
         assert "wider" not in message
         assert "as wide" not in message
-    alone = wording.exchanger(WORN | {"hx_fouling_between_packs": NAN, "ram_flow_loss": NAN}, "F").corroborations
+    alone = wording.exchanger(
+        of(ExchangerFacts, WORN | {"hx_fouling_between_packs": NAN, "ram_flow_loss": NAN}), "F"
+    ).corroborations
     assert len(alone) == 1
     assert wording.within(0.34, 0.01) == "34 % (32 to 36)"
     assert wording.within(0.3, 0.02, 1) == "30.0 % (26.7 to 33.3)"
@@ -77,13 +88,22 @@ def test_severities_at_their_edges():
         ({"hx_fouling_slope_30_per_flight": few}, "high"),
         ({"hx_fouling_slope_30_per_flight": few * 49.0 / 51.0}, "medium"),
     ):  # fmt: skip
-        assert wording.exchanger_severity(base | changed) == severity
-    assert wording.flights_left(base | {"hx_fouling": 0.9, "hx_fouling_slope_30_per_flight": 0.1}) == 0.0
-    assert wording.flights_left(base | {"hx_fouling_slope_30_per_flight": 1e-5}) is None
-    assert [DIAGNOSES["HX_LOW_MARGIN"].severity({"hx_passage_100": p}) for p in (0.5, 0.51)] == ["medium", "high"]
-    assert [DIAGNOSES["RAM_DOOR_FAULT"].severity({"kind": k}) for k in ("jam", "lost travel")] == ["high", "medium"]
+        assert wording.exchanger_severity(of(ExchangerFacts, base | changed)) == severity
+    assert (
+        wording.flights_left(of(ExchangerFacts, base | {"hx_fouling": 0.9, "hx_fouling_slope_30_per_flight": 0.1}))
+        == 0.0
+    )
+    assert wording.flights_left(of(ExchangerFacts, base | {"hx_fouling_slope_30_per_flight": 1e-5})) is None
+    assert [DIAGNOSES["HX_LOW_MARGIN"].severity(of(MarginFacts, {"hx_passage_100": p})) for p in (0.5, 0.51)] == [
+        "medium",
+        "high",
+    ]
+    assert [DIAGNOSES["RAM_DOOR_FAULT"].severity(of(DoorFacts, {"kind": k})) for k in ("jam", "lost travel")] == [
+        "high",
+        "medium",
+    ]
     kinds = [{"kind": "shift", "sensor": "hx_out_k"}, {"kind": "shift", "sensor": "mach"}, {"kind": "contradicted"}]
-    assert [wording.sensor_severity(k) for k in kinds] == ["medium", "low", "medium"]
+    assert [wording.sensor_severity(of(SensorFacts, k)) for k in kinds] == ["medium", "low", "medium"]
 
 
 def test_little_margin_in_figures():
@@ -92,16 +112,16 @@ def test_little_margin_in_figures():
         "hx_margin_target_k": NAN, "hx_margin_flow_k": -1.6, "hx_margin_ambient_k": -8.0, "hx_margin_wear_k": 0.0,
         "overheat_p20_k": 1.1,
     }  # fmt: skip
-    message = wording.low_margin(facts, "F07").text()
+    message = wording.low_margin(of(MarginFacts, facts), "F07").text()
     for words in (
         "2 K above its level", "4 K below it on a hot day", "probability 0.93", "the design gives +6 K, flow -2 K, air",
         "air outside -8 K, wear and build +0 K", "outlet was 1 K above its level",
     ):  # fmt: skip
         assert words in message
-    cool = wording.low_margin(facts | {"overheat_p20_k": 1.0, "hx_margin_k": NAN}, "F07").text()
+    cool = wording.low_margin(of(MarginFacts, facts | {"overheat_p20_k": 1.0, "hx_margin_k": NAN}), "F07").text()
     assert "outlet was" not in cool
     assert "unknown distance" in cool
-    assert "0 K below" in wording.low_margin(facts | {"hx_margin_k": 0.0}, "F07").text()
+    assert "0 K below" in wording.low_margin(of(MarginFacts, facts | {"hx_margin_k": 0.0}), "F07").text()
 
 
 def test_a_compressor_in_figures():
@@ -109,7 +129,7 @@ def test_a_compressor_in_figures():
         "cc_efficiency_loss": 0.082, "cc_efficiency_loss_sd": 0.01, "shrunk": -0.044, "cc_diameter_loss": 0.0206,
         "cc_diameter_left": 0.034, "cc_diameter_left_hot_high": -0.026,
     }  # fmt: skip
-    evidence = wording.compressor(facts, "F07")
+    evidence = wording.compressor(of(CompressorFacts, facts), "F07")
     assert (
         "8.2 % (6.6 to 9.8) against expectation, 8 times its uncertainty, likely since F07; worn at all (above 5 %)"
         in evidence.finding
@@ -120,36 +140,43 @@ def test_a_compressor_in_figures():
     assert "3 % more of it" in evidence.corroborations[1].text
     assert "it is 3 % too small" in evidence.corroborations[2].text
     for loss, role in ((0.0204, "Neutral"), (-0.0219, "Neutral"), (-0.0221, "Against")):
-        assert wording.compressor(facts | {"cc_diameter_loss": loss}, "F").corroborations[0].role == role
+        assert (
+            wording.compressor(of(CompressorFacts, facts | {"cc_diameter_loss": loss}), "F").corroborations[0].role
+            == role
+        )
     left = {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}
-    short = wording.compressor(facts | left, "F").corroborations
+    short = wording.compressor(of(CompressorFacts, facts | left), "F").corroborations
     assert (short[1].role, short[2].role) == ("Supports", "Neutral")
     assert "2 % too small" in short[1].text
     assert "1 % may go" in short[2].text
-    silent = wording.compressor(facts | {"cc_efficiency_loss": NAN}, "F07")
+    silent = wording.compressor(of(CompressorFacts, facts | {"cc_efficiency_loss": NAN}), "F07")
     assert "is 4.4 % below this unit's own first flights, 2.0 times the scatter of a flight" in silent.finding
-    assert wording.compressor(facts | {"cc_diameter_loss": NAN}, "F").corroborations == ()
-    assert len(wording.compressor(facts | {"cc_diameter_left": NAN}, "F").corroborations) == 1
+    assert wording.compressor(of(CompressorFacts, facts | {"cc_diameter_loss": NAN}), "F").corroborations == ()
+    assert len(wording.compressor(of(CompressorFacts, facts | {"cc_diameter_left": NAN}), "F").corroborations) == 1
 
 
 @pytest.mark.parametrize(("whose", "is_held_back"), [("own", False), ("both", True)])
 def test_change_on_both_packs_sends_to_the_map(whose, is_held_back):
     facts = {"kind": "shift", "sensor": "pack_flow_kg_s", "whose": whose}
 
-    assert ("look at the recorder's scale, map and software first" in wording.sensor_addendum(facts)) == is_held_back
+    assert (
+        "look at the recorder's scale, map and software first" in wording.sensor_addendum(of(SensorFacts, facts))
+    ) == is_held_back
 
 
 def test_doors_and_sensors_in_figures():
-    door = wording.door({"kind": "lost travel", "stop": 0.42, "excess_k": 2.0}, "F07").text()
+    door = wording.door(of(DoorFacts, {"kind": "lost travel", "stop": 0.42, "excess_k": 2.0}), "F07").text()
     assert "no further than 42 %: since F07 the outlet ran up to 2.0 K (6 times the scatter" in door
-    assert "stays at 42 %" in wording.door({"kind": "jam", "stop": 0.42}, "F07").text()
+    assert "stays at 42 %" in wording.door(of(DoorFacts, {"kind": "jam", "stop": 0.42}), "F07").text()
     shift = {"kind": "shift", "sensor": "hx_out_k", "sigma": 7.25, "p": 0.973}
-    by_k = wording.sensor(shift | {"channel": "hx_out_between_packs_k", "moved": -3.456}, "F07").text()
+    by_k = wording.sensor(of(SensorFacts, shift | {"channel": "hx_out_between_packs_k", "moved": -3.456}), "F07").text()
     assert "moved by -3.46 K (7.2 times its uncertainty" in by_k
     assert "with probability 0.97" in by_k
-    by_ln = wording.sensor(shift | {"channel": "pack_over_compressor_flow_ln", "moved": 0.0712}, "F07").text()
+    by_ln = wording.sensor(
+        of(SensorFacts, shift | {"channel": "pack_over_compressor_flow_ln", "moved": 0.0712}), "F07"
+    ).text()
     assert "moved by +7.1 %" in by_ln
-    empty = wording.sensor({"kind": "dropout", "sensor": "mach", "share": 0.25}, "F07").text()
+    empty = wording.sensor(of(SensorFacts, {"kind": "dropout", "sensor": "mach", "share": 0.25}), "F07").text()
     assert "Mach number (mach) is empty in 25 % of its readings since F07" in empty
     back = {"kind": "contradicted", "of": "HX", "looked_on": "2024-03-01", "level": 0.2, "loss": 0.24}
-    assert "at a loss of 20 %, and the loss has grown to 24 %" in wording.sensor(back, "F07").text()
+    assert "at a loss of 20 %, and the loss has grown to 24 %" in wording.sensor(of(SensorFacts, back), "F07").text()
