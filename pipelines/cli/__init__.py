@@ -24,7 +24,6 @@ __all__ = ["app", "cases", "look", "main", "make", "night", "serve", "share"]
 
 def main() -> None:
     """Run the command; print an error that a user can correct as one line."""
-    code = 2
     logging.captureWarnings(True)  # warnings of libraries do not concern the reader of the terminal
     escape_unencodable_output()
     _load_schemas()
@@ -41,14 +40,15 @@ def main() -> None:
             sys.exit(2)
         message = f"{error.format_message()} `{command} --help` lists its arguments and options."
     except StoppedError as stop:
-        message = "stopped"
-        code = stop.code
+        print_error("stopped")
+        sys.stdout.flush()
+        os._exit(stop.code)  # all is unwound; of what a server's thread still holds, DuckDB would print a page
     except OSError as error:
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
     except Exception as error:
         message = _storage_error(error)
     print_error(message)
-    sys.exit(code)
+    sys.exit(2)
 
 
 def load_extensions() -> None:
