@@ -4,7 +4,7 @@ Each line is validated by itself and stored once.
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from functools import lru_cache
@@ -184,6 +184,8 @@ def _lines(path: Path, _changed_ns: int) -> FleetLines:
 
 COMPONENTS = (*components(), "RAM_DOOR", "SENSOR")
 SERIALS = ("serial_off", "serial_on")
+OWN_CODES = frozenset(part.message_code for part in components().values())
+"""Codes of the messages that the components' failures raise."""
 STATUS = "status"
 DONE = ("", "COMPLETED", "CLOSED", "DONE")
 """Statuses of a line of the maintenance log whose work was done; any other is of work that is planned or cancelled."""
@@ -193,6 +195,7 @@ FARTHEST = timedelta(days=3660)
 def read_messages(file: LandingFile, now: datetime) -> FileIntake:
     """Read maintenance messages of one aircraft: the columns of `raw_messages`."""
     later = list[datetime]()
+    no_pack = list[date]()
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
         pack = _number_up_to(file.packs, words["pack"])
@@ -207,13 +210,15 @@ def read_messages(file: LandingFile, now: datetime) -> FileIntake:
             return Fault("bad_code", column_name="code")
         flight = words["flight_id"] or None
         text = words["text"] or None
+        no_pack.extend([moment.date()] if moment and pack is None and words["code"] in OWN_CODES else [])
         return file.operator, file.tail, moment, flight, pack, words["code"], file.path, text
 
     contract = Contract(("message_time", "flight_id", "pack", "code"), ("text",))
     log = _read_log(
         file, RawMessages.create_empty(), lambda content: parse_list(content, contract, validate, "message_time")
     )
-    return replace(log, due_at=min(later, default=None))
+    log = replace(log, due_at=min(later, default=None))
+    return _with_notes(file, log, _note_on("no_pack", "pack", "Messages of", no_pack))
 
 
 def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
@@ -225,6 +230,7 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     delivered_on = file.delivered_on
     early = list[date]()
     later = list[datetime]()
+    no_pack = list[date]()
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
         day = moment.date() if moment else to_day(words["done_on"])
@@ -242,6 +248,7 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
         codes_agreed = {"component": COMPONENTS, "action": ACTIONS, "finding": ("", *FINDINGS)}
         if odd := [c for c, code in codes.items() if code not in codes_agreed[c]]:
             return Fault("bad_code", column_name=", ".join(odd))
+        no_pack.extend([day] if day and pack is None and codes["component"] in components() else [])
         finding = codes["finding"] or None
         reference = words["reference"] or None
         serials = (words[name] or None for name in SERIALS)
@@ -252,11 +259,18 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=(*SERIALS, STATUS))
     log = _read_log(file, no_work, lambda content: parse_list(content, contract, validate, "done_on"))
     log = replace(log, due_at=min(later, default=None))
-    if not early:
-        return log
-    detail = f"Delivered on {delivered_on}; work of {', '.join(sorted({f'{day}' for day in early})[:5])}."
-    note = file.quarantine([Fault("before_delivery", column_name="done_on", detail=detail)])
-    return replace(log, quarantine=pl.concat([log.quarantine, note]))
+    notes = _note_on("before_delivery", "done_on", f"Delivered on {delivered_on}; work of", early)
+    return _with_notes(file, log, [*notes, *_note_on("no_pack", "pack", "Work of", no_pack)])
+
+
+def _note_on(reason: str, column: str, what: str, days: Collection[date]) -> list[Fault]:
+    """Make a note that names the first of some days; none without a day."""
+    first = ", ".join(sorted({f"{day}" for day in days})[:5])
+    return [Fault(reason, column_name=column, detail=f"{what} {first}.")] if days else []
+
+
+def _with_notes(file: LandingFile, log: FileIntake, notes: list[Fault]) -> FileIntake:
+    return replace(log, quarantine=pl.concat([log.quarantine, file.quarantine(notes)])) if notes else log
 
 
 def is_done() -> pl.Expr:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import polars as pl
 
 from pipelines.intake.columns import SI_NAMES, WORDS
-from pipelines.intake.faults import MAX_ROWS_LISTED, NO_FAULTS, Fault, first_and_rest, quarantine
+from pipelines.intake.faults import MAX_ROWS_LISTED, NO_FAULTS, Fault, quarantine
 
 FLIGHT = ("operator", "source", "flight_id")
 KEY = (*FLIGHT, "pack", "time_utc")
@@ -142,15 +142,20 @@ def _conflict_rows(differing: pl.DataFrame, received_at: Mapping[str, datetime])
     same_file = pl.col("is_stored").fill_null(False) & (pl.col("file") == pl.col("file stored")).fill_null(False)
     reason = pl.when(same_file).then(pl.lit(SAME_TIME)).otherwise(pl.lit("conflicting_delivery"))
     with_reasons = differing.with_columns(reason.alias("reason")).sort(*_PLACE, "flight_id", "differs")
-    first, rest = first_and_rest(with_reasons, ["file", "reason"], MAX_ROWS_LISTED)
-    for row in first.iter_rows(named=True):
+    is_listed = pl.int_range(pl.len()).over("file", "reason") < MAX_ROWS_LISTED
+    for row in with_reasons.filter(is_listed).iter_rows(named=True):
         detail = f"It conflicts with row {row['row_in_file stored']} of {row['file stored']}."
         if not row["is_stored"]:
             detail = f"Its delivery conflicts with {row['winner']}, which does not hold this row."
         columns = row["differs"] if row["is_stored"] else None
         fault = row["reason"], row["row_in_file"], columns, detail, 1, row["flight_id"], _content(row)
         faults.append((row["file"], Fault(*fault)))
-    faults += [(f, Fault(reason, detail=f"And {n} more rows.", n_rows=n)) for f, reason, n in rest.iter_rows()]
+    # by flight, for the account of each flight must balance
+    more = (
+        with_reasons.filter(~is_listed).group_by(*ACCOUNT, "reason", maintain_order=True).agg(pl.len().cast(pl.Int64))
+    )
+    for file, flight_id, reason, n in more.iter_rows():
+        faults.append((file, Fault(reason, detail=f"And {n} more rows.", n_rows=n, flight_id=flight_id)))
     return _quarantine(faults, received_at)
 
 

@@ -18,6 +18,9 @@ EARLY, LATE = timedelta(hours=3), timedelta(hours=48)
 AIRPORT = r"^[A-Z]{4}$"
 PHASES = ("TO", "CL", "CR", "DS", "AP", "GR")
 IN_THE_AIR = ("altitude_ft", "mach")
+LEAST_SHARE_0 = 0.2
+"""Share of a flight's rows of a pack 0 from which on its packs count from 0."""
+FROM_0 = "Packs count from 0 in this flight, so that a pack 1 may be the second."
 NO_FLIGHT = ("repeated_header", "bad_flight_id", "flight_id_contradicts_path")
 """Reasons that leave a row without a flight."""
 
@@ -76,15 +79,23 @@ def _row_reasons(raw: pl.DataFrame, files: Sequence[LandingFile], slips: pl.Data
         pl.when(pl.col("wrong_id").is_not_null()).then("wrong_id")
         .when(moment.is_null()).then(pl.lit("unreadable_time"))
         .when(~in_flight).then(pl.lit("time_contradicts_flight_id"))
-        .when(~is_pack(pl.col("packs"))).then(pl.lit("bad_pack"))
+        .when(~is_pack(pl.col("packs")) | _counts_from_0().over(unit)).then(pl.lit("bad_pack"))
     )  # fmt: skip
-    reasons = keys.select(reason.alias("reason"))
-    if slips.is_empty():
-        return reasons.with_columns(pl.lit(None, pl.String).alias(c) for c in ("column_name", "sentence"))
-    rows = reasons.with_row_index("index")
+    from_0 = pl.when(_counts_from_0().over(unit)).then(pl.lit(FROM_0)).alias("own_sentence")
+    rows = keys.select(reason.alias("reason"), from_0).with_row_index("index")
     rows = rows.join(slips, on="index", how="left", suffix="_slip", maintain_order="left", validate="m:1")
-    slip = pl.when(pl.col("reason").is_null()).then(pl.col("column_name", "sentence"))
-    return rows.select(pl.coalesce("reason", "reason_slip").alias("reason"), slip)
+    is_slip = pl.col("reason").is_null()
+    return rows.select(
+        pl.coalesce("reason", "reason_slip").alias("reason"),
+        pl.when(is_slip).then("column_name").alias("column_name"),
+        pl.when(is_slip).then("sentence").when(pl.col("reason") == "bad_pack").then("own_sentence").alias("sentence"),
+    )
+
+
+def _counts_from_0() -> pl.Expr:
+    """Whether a flight's rows number the packs from 0: each then has another's number, and none is sure."""
+    pack = pl.col("pack")
+    return ((pack == 0).mean() >= LEAST_SHARE_0) & ~(pack >= pl.col("packs")).any()
 
 
 def in_future(now: datetime) -> pl.Expr:

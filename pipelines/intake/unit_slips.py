@@ -103,7 +103,12 @@ _UNITS: dict[tuple[str, ...], tuple[Unit, ...]] = {
         Unit("inHg", 3386.389 / PSI_PA),
     ),
     _POUNDS: (Unit("kg/min", 1 / POUND_KG), Unit("kg/s", 60 / POUND_KG, reason="unit_kg_s"), Unit("lb/s", 60.0)),
-    ("cc_speed_rpm",): (Unit("rad/s", 30 / np.pi), Unit("Hz", 60.0)),
+    ("cc_speed_rpm",): (
+        Unit("rad/s", 30 / np.pi),
+        Unit("Hz", 60.0),
+        *(Unit("per cent", full_rpm / 100.0) for full_rpm in (24_000, 36_000, 52_000)),
+        Unit("thousands of rpm", 1_000.0),
+    ),
     ("altitude_ft",): (Unit("m", 1 / 0.3048), Unit("flight levels", 100.0)),
     ("ram_door_pct",): (Unit("a fraction of 1", 100.0),),
 }

@@ -120,6 +120,7 @@ CASES = [
     Case("flight_id of no such day", lambda c: c.replace(b"_20240525_", b"_20240532_"), "bad_flight_id", N, 0),
     Case("flight_id of another file", lambda c: c.replace(b"_04,", b"_05,"), "flight_id_contradicts_path", N, 0),
     Case("pack 1.5", by.field(3, "pack", b"1.5"), "bad_pack", n_stored=N - 1, column="pack"),
+    Case("packs from 0", by.column("pack", lambda v: v - 1), "bad_pack", N, 0, "pack"),
     Case("pack missing", by.field(3, "pack", b""), "bad_pack", n_stored=N - 1, column="pack"),
     Case("a copy by another name", lambda c: c, "flight_id_from_column", path=f"AQX/LX-AAA/acms/{FLIGHT} (1).csv"),
     # Parquet

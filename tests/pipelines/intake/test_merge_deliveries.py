@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from spoils import field, parquet, retimed
 
+from pipelines.intake import merge
 from pipelines.intake.columns import SIGNAL_COLUMNS
 from pipelines.intake.landing import list_landing
 from pipelines.intake.merge import merge_deliveries
@@ -50,6 +51,16 @@ def test_reports_at_one_time_of_one_file_have_their_own_reason(good_flight, deli
 
     assert merged.rows.height == n_stored
     assert merged.quarantine["reason"].to_list() == ["same_time"] * (42 - n_stored)
+
+
+def test_rows_beyond_those_listed_belong_to_their_flight(good_flight, deliver, read, monkeypatch):
+    monkeypatch.setattr(merge, "MAX_ROWS_LISTED", 3)
+    (file,) = deliver({CSV: retimed(lambda t: "2024-05-25T17:00:00Z")(good_flight)})
+
+    conflicts = merge_deliveries([read([file]).rows], {}).quarantine
+
+    assert conflicts["n_rows"].to_list() == [1, 1, 1, 37]
+    assert conflicts["flight_id"].unique().to_list() == ["LX-AAA_20240525_04"]
 
 
 def test_a_flight_in_two_history_files_with_other_values(good_flight, deliver, read):
