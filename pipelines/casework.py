@@ -7,6 +7,7 @@ from typing import Any
 
 import polars as pl
 
+from hdt_core.alerts.diagnoses import LOSS
 from hdt_core.alerts.succession import KINDS_OF_NIGHT, WITHDRAW
 from hdt_core.components.declaration import FAULTS, NO_FAULT
 from hdt_core.loading import UserError
@@ -78,14 +79,15 @@ def change_case(home: Path, case: Case, kind: str, person: str, last_line: int |
         Somebody else changed the case since `last_line`.
     """
     if kind in _OPEN_ONLY and case["closed_at"] is not None:
-        raise RefusedError(f"this alert closed on {case['closed_at'].date()} ({case['closed_reason']})")
+        closed_on = (case["closed_at"] - timedelta(microseconds=1)).date()  # work of a day counts from its end
+        raise RefusedError(f"this alert closed on {closed_on} ({case['closed_reason']})")
     body = {"note": _text(fields.get("note"), "note")} | (_BODY[kind](case, fields) if kind in _BODY else {})
     state = {column: case[key] for column, key in _STATE_THEN.items()}
     line = {k: v for k, v in (body | state).items() if v is not None}
     alert = {c: case[c] for c in _ALERT} | {"operator": case["key_operator"], "tail": case["key_tail"]}
     CaseLog(home).append(alert, kind, _name(person, "by"), line, last_line)
     publish_lines(home)
-    return f"{case['operator']} {case['tail']} pack {case['pack']}: {_effect(kind, body)}"
+    return f"{case['operator']} {case['tail']} pack {case['pack']}: {_effect(kind, body, case)}"
 
 
 def _assign(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -184,7 +186,7 @@ _EFFECTS = {
 }
 
 
-def _effect(kind: str, body: Mapping[str, Any]) -> str:
+def _effect(kind: str, body: Mapping[str, Any], case: Case) -> str:
     if kind != "close":
         return _EFFECTS[kind].format_map(body)
     finding = body["finding"].lower().replace("_", " ")
@@ -192,7 +194,8 @@ def _effect(kind: str, body: Mapping[str, Any]) -> str:
     if body["action"] != "INSPECTED":
         return f"{head} The alert is closed; the next night estimates the part anew from its first flight."
     if body["finding"] == NO_FAULT:
-        return f"{head} The alert is closed as found clean; a further loss is raised as a sensor case."
+        after = " A further loss is raised as a sensor case." if case["diagnosis"] in LOSS else ""
+        return f"{head} The alert is closed as found clean.{after}"
     return f"{head} It stays open, confirmed, until the part is cleaned or replaced."
 
 

@@ -92,18 +92,26 @@ def alerts_now(alerts: pl.DataFrame, log_then: pl.DataFrame, log: pl.DataFrame) 
     """
     added = log.filter("since_night").to_dicts()
     gone = log_then.filter(~_in(log_then, log)).to_dicts()
-    rows = [_with_ending(row, added, gone) for row in alerts.to_dicts()]
+    entries = log.to_dicts()
+    rows = [_with_ending(row, entries, added, gone) for row in alerts.to_dicts()]
     return pl.DataFrame(rows, schema=alerts.schema, orient="row")
 
 
-def _with_ending(alert: Row, added: list[Row], gone: list[Row]) -> Row:
-    is_taken_back = alert["closed_reason"] in (RENEWED, FOUND_CLEAN) and any(_endings(alert, gone))
+def _with_ending(alert: Row, entries: list[Row], added: list[Row], gone: list[Row]) -> Row:
+    is_taken_back = _is_taken_back(alert, gone)
     end = None if is_taken_back else alert["closed_at"]
     reason = None if is_taken_back else alert["closed_reason"]
-    first = min(_endings(alert, added), default=None)
+    first = min(_endings(alert, entries if is_taken_back else added), default=None)
     if first and (end is None or first[0] < end):
         end, reason = first
     return alert | {"closed_at": end, "closed_reason": reason}
+
+
+def _is_taken_back(alert: Row, gone: list[Row]) -> bool:
+    """Whether work that is not in the log any more had ended an alert: it was no later than the end."""
+    if alert["closed_reason"] not in (RENEWED, FOUND_CLEAN):
+        return False
+    return any(at <= alert["closed_at"] for at, _ in _endings(alert, gone))
 
 
 def _endings(alert: Row, entries: list[Row]) -> Iterator[tuple[datetime, str]]:

@@ -106,8 +106,9 @@ DIAGNOSES: dict[str, Diagnosis[Any]] = {
             code="HX_LOW_MARGIN",
             component="HX",
             name="little cooling margin left",
-            action="Check outlet target, flow schedule and ram door travel (ATA 21-53, rigging); a new exchanger alone "
-            "does not help; keep the aircraft off hot sectors where it can be, and wash at the next stop",
+            action="Check outlet target, flow schedule and ram door travel (ATA 21-53, rigging); a new exchanger "
+            "alone does not remove the cause; keep the aircraft off hot sectors where it can be, and wash at the next "
+            "stop",
             ended_by=HX.ended_by,
             record=MarginFacts,
             severity=lambda facts: "high" if facts.hx_passage_100 > 0.5 else "medium",

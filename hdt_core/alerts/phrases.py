@@ -27,8 +27,8 @@ FLOW_CLEAN = "ram flow that of a clean duct: no blockage"
 
 MARGIN = (
     "With the ram door full open the outlet would stand {margin} its level in the hottest fifth of the last flight, "
-    "{hot_day} it on a hot day (ISA + 15 K); message 21-52-HXTEMP within 300 flights with probability {odds}, likely "
-    "since {since}"
+    "{hot_day} it on a hot day (ISA + 15 K); message 21-52-HXTEMP within 300 flights with probability {odds} by "
+    "physics alone, likely since {since}"
 )
 BELOW_BY = "{k} K below"
 ABOVE_BY = "{k} K above"

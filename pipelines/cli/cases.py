@@ -129,8 +129,10 @@ def list_(
 
 
 def _state(row: Mapping[str, Any]) -> str:
+    from pipelines.report.words import last_day
+
     if row["state"] == "muted":
-        return f"muted until {row['muted_until'].date()}"
+        return f"muted until {last_day(row['muted_until'])}"
     finding = row["finding"] if row["state"] == "confirmed" else None
     return f"{row['state']} ({finding.lower().replace('_', ' ')})" if finding else str(row["state"])
 

@@ -148,4 +148,4 @@ def orders(
         table = work_orders(con, read_tasks(where), operator)
         dates = dates_line(con)
     write_orders(table, target, dates)
-    out.print(f"{table.height} work orders: {target}")
+    out.print(f"work orders: {table.height}, in {target}")

@@ -31,7 +31,7 @@ _ALERTS = f"""
 select
     a.case_id, a.alert_id, a.operator, a.tail, a.pack, a.component, a.diagnosis, a.severity, a.urgency,
     strftime(a.raised_at at time zone 'UTC', '%Y-%m-%d') as since,
-    strftime(a.closed_at at time zone 'UTC', '%Y-%m-%d') as closed_on,
+    a.closed_on::varchar as closed_on,
     a.recommended_action, a.evidence_now as evidence,
     a.now_rul_flights as rul_flights, a.now_rul_low as rul_low, a.now_rul_high as rul_high,
     a.now_p_event_50 as p_event_50, n.choice, p.place, o.outcome, o.work_orders

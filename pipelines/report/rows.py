@@ -42,8 +42,9 @@ class UnitRow:
 
     @property
     def needs_work(self) -> bool:
-        """Whether it is to act on or to plan."""
-        return self["urgency"] in ("act", "plan")
+        """Whether it is to act on or to plan, and not only by a forecast that an inspection has answered."""
+        is_answered = self["is_contradicted"] and self["alert_id"] is None
+        return self["urgency"] in ("act", "plan") and not is_answered
 
     def owns(self, alert: Row) -> bool:
         """Whether an alert is of this unit: one of a pack's parts of the pack."""
@@ -101,9 +102,10 @@ class UnitRow:
         """Format work and findings since the last flight, that the pack is off, and the state of its case."""
         clean_on = self["found_clean_on"]
         clean = clean_on and _("found clean on {day}, no flight since", day=words.day(clean_on))
+        doubtful = _("the part was found clean: doubtful") if self["is_contradicted"] and not clean_on else ""
         other_part = _("flights left are the compressor's") if self["outlook_component"] == "CC" else ""
         state = words.case_state(self.values)
-        notes = (other_part, words.work_done(self.values), clean, words.switched_off(self.values), state)
+        notes = (doubtful, other_part, words.work_done(self.values), clean, words.switched_off(self.values), state)
         return [note for note in notes if note]
 
     def action(self) -> str:

@@ -81,6 +81,7 @@ def _row(facts: Facts, tracks: Mapping[str, Row], limits: Mapping[str, float], u
         "flights_text": unit.flights_left(),
         "due": _due(unit, facts.until()) if unit["due_low_on"] else None,
         "chance_text": unit.message(),
+        "message_phrase": unit.message_phrase(),
         "to_do": (unit.to_do(), "; ".join(filter(None, (unit.effort(), unit.cost())))),
     }
 

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Mapping
+from datetime import timedelta
 from typing import Any
 
 from hdt_core.alerts.diagnoses import DIAGNOSES
@@ -146,7 +147,7 @@ STATES = {
 def case_state(row: Row) -> str:
     """Format the state of a case and its owner: `acknowledged, with Ada`; empty of a new one."""
     label = STATES.get(row["case_state"] or "")
-    state = _(label, day=day(row["muted_until"])) if label else ""
+    state = _(label, day=last_day(row["muted_until"])) if label else ""
     owner = _("with {who}", who=row["owner"]) if row["owner"] else ""
     return ", ".join(filter(None, (state, owner)))
 
@@ -225,16 +226,20 @@ def reference(row: Row | None) -> str:
     """Format what became of other units at this loss, a row of `reference_classes`; empty where too few came to it."""
     if row is None or row["n_units"] < FEWEST:
         return ""
-    values = {k: format_count(row[k]) for k in ("n_messages", "n_units", "n_flying")}
+    n_replaced = row["n_units"] - row["n_messages"] - row["n_flying"]
+    counts = {k: format_count(row[k]) for k in ("n_messages", "n_units", "n_flying")}
     text = _(
-        "At {loss} lost, {n_messages} of {n_units} other units had the message", loss=percent(row["loss"]), **values
+        "Of {n_units} other units at {loss} lost, {n_messages} had the message", loss=percent(row["loss"]), **counts
     )
     if row["n_messages"]:
         text += _(" within {n} flights", n=number(row["flights_to_message_most"]))
+    if n_replaced:
+        text += _(", {n} replaced without it", n=format_count(n_replaced))
+    if row["n_flying"]:
+        text += _(", {n_flying} still flying", **counts)
     if row["flights_to_message_median"] is not None:
-        text += _(", half of the units within {n}", n=number(row["flights_to_message_median"]))
-    text += _("; {n_flying} still fly.", **values)
-    return text + (" " + _("That disagrees with the forecast.") if row["disagrees"] else "")
+        text += _("; by estimate half come to it within {n}", n=number(row["flights_to_message_median"]))
+    return text + "." + (" " + _("That disagrees with the forecast.") if row["disagrees"] else "")
 
 
 def work_done(row: Row) -> str:
@@ -271,6 +276,11 @@ def hit_rate(row: Row | None) -> str:
 def day(value: Any) -> str:
     """Format a day: `2024-06-17`."""
     return DASH if value is None else f"{value:%Y-%m-%d}"
+
+
+def last_day(moment: Any) -> str:
+    """Format the last day before a moment: what counts to the end of a day ends at the next midnight."""
+    return DASH if moment is None else day(moment - timedelta(microseconds=1))
 
 
 def clock(value: Any) -> str:

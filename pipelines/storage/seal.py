@@ -284,6 +284,6 @@ def find_night(nights: dict[str, dict[str, int]], night: str) -> tuple[str, dict
         raise StoreError(f"give a day (2024-06-19) or a time in UTC (2024-06-19T04:30), not {night}")
     earlier = [name for name in nights if name[: len(prefix)] <= prefix]
     if not earlier:
-        first = f"the first on record is {min(nights)}" if nights else "none is on record"
+        first = f"the first on record is {min(nights).partition('#')[0]}" if nights else "none is on record"
         raise StoreError(f"no night at or before {night!r}; {first}")
     return earlier[-1], nights[earlier[-1]]

@@ -25,4 +25,5 @@ def html_page(template: str, status: int = 200, **context: Any) -> HTMLResponse:
 def _environment() -> Environment:
     environment = report_templates("pipelines.web")
     environment.filters["label"] = words.diagnosis
+    environment.filters["last_day"] = words.last_day
     return environment

@@ -63,11 +63,11 @@ select
     c.n_open,
     c.n_alerts - c.n_judged - c.n_open as n_unjudged,
     r.share as hit_rate,
-    greatest(r.middle - r.half, 0) as hit_rate_low,
-    least(r.middle + r.half, 1) as hit_rate_high,
+    case when r.share is not null then greatest(r.middle - r.half, 0) end as hit_rate_low,
+    case when r.share is not null then least(r.middle + r.half, 1) end as hit_rate_high,
     m.share as message_rate,
-    greatest(m.middle - m.half, 0) as message_rate_low,
-    least(m.middle + m.half, 1) as message_rate_high
+    case when m.share is not null then greatest(m.middle - m.half, 0) end as message_rate_low,
+    case when m.share is not null then least(m.middle + m.half, 1) end as message_rate_high
 from counted as c
 inner join spans as r on c.component = r.component and c.diagnosis = r.diagnosis and r.kind = 'right'
 inner join spans as m on c.component = m.component and c.diagnosis = m.diagnosis and m.kind = 'message';

@@ -9,11 +9,12 @@
 -- flights_per_day: as in flight_rates
 -- loss_left: what the choice leaves of the loss, the mean of what it may leave [-]
 -- loss_left_sd: spread of what it may leave [-]
--- rests_on: what the effect of a wash rests on: prior, or the number of washes of the fleet after like losses and findings
+-- rests_on: what the effect of a wash rests on: prior, or the number of the fleet's washes after like losses and
+-- findings
 -- chance: of a message by then, with this choice [-]
 -- chance_at_least: of 300 flights, where the check lies beyond them [-]
 -- cost: of the work; of defer that at the check [currency]
--- expected_cost: cost and chance times the cost of a message [currency]
+-- expected_cost: cost and chance times the cost of a message; NULL where the part was found clean since [currency]
 -- place: 1 is the least expected cost of the pack's component; NULL where there is none
 -- status: ok; no_check_planned (until_on is the horizon's end); beyond_horizon (of 300 flights); contradicted (the part
 -- was found clean since); no_rate (flights a day unknown); no_cost
@@ -79,7 +80,8 @@ select
     chance_within(c.points, c.flights) as chance,
     case when c.flights > 300 then c.points[6] end as chance_at_least,
     w.cost,
-    w.cost + chance_within(c.points, c.flights) * m.cost as expected_cost,
+    case when c.prognosis_status != 'contradicted' then w.cost + chance_within(c.points, c.flights) * m.cost end
+        as expected_cost,
     w.currency,
     case
         when expected_cost is not null
@@ -91,7 +93,8 @@ select
     case
         when c.flights is null then 'no_rate'
         when c.flights > 300 then 'beyond_horizon'
-        when c.choice = 'defer' and c.prognosis_status != 'ok' then c.prognosis_status
+        when c.prognosis_status = 'contradicted' or (c.choice = 'defer' and c.prognosis_status != 'ok')
+            then c.prognosis_status
         when w.cost is null or m.cost is null then 'no_cost'
         when c.check_name is null then 'no_check_planned'
         else 'ok'

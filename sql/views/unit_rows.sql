@@ -15,6 +15,7 @@
 -- silent_since: since when the aircraft sends nothing, where that is unusual
 -- due_status: status of that day, as in due_dates
 -- is_overdue: the day of the message is past, by the fleet's last flight
+-- is_contradicted: the part was found clean, so that its forecast is of a loss that was not there
 -- is_bound: of flights left and day of the message only the lower end is known: no message is near
 -- margin_k: reserve of the outlet on a hot day, median of ten flights [K]
 -- door_share: share of cruise with the ram door full open, median of ten flights [-]
@@ -75,7 +76,8 @@ likeliest as (
         u.until_on,
         u.flights_per_day,
         u.urgent_since,
-        u.urgent_by
+        u.urgent_by,
+        u.status = 'contradicted' as is_contradicted
     from ranked as r
     inner join unit_urgencies as u
         on
@@ -192,6 +194,7 @@ select
     l.flights_per_day,
     coalesce(l.urgent_since, r.message_at, r.raised_at) as urgent_since,
     l.urgent_by,
+    coalesce(l.is_contradicted, false) as is_contradicted,
     d.days_left,
     d.days_left_low,
     d.days_left_high,

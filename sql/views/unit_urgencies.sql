@@ -1,6 +1,7 @@
 -- How urgent is each unit by its last prognosis: how likely is its message before the next chance to act, at what cost?
 -- The next chance to act is that of check_chances; without a flight rate or points, the next 50 flights.
--- chance: of a message by then; the least it can be where the prognosis does not look so far [-]
+-- chance: of a message by then; the least it can be where the prognosis does not look so far; NULL where the part was
+-- found clean since: the forecast is of a loss that was not there [-]
 -- chance_kind: by (until_on), at_least (of 300 flights, before until_on) or in_50 (flights)
 -- message_cost: expected cost of that message; NULL without a cost table [currency]
 -- urgency: act (a message on record that nothing has answered, by open_messages; or one more likely than not, by
@@ -16,6 +17,13 @@ with message_costs as (
     from tables.raw_costs
     where item = 'message'
     group by component
+),
+
+forecasts as (
+    select
+        *,
+        case when is_observed then coalesce(chance, chance_at_least, p_event_50) end as forecast_chance
+    from check_chances
 ),
 
 chances as (
@@ -38,23 +46,29 @@ chances as (
             when c.chance_at_least is not null then 'at_least'
             else 'in_50'
         end as chance_kind,
-        case when c.is_observed then coalesce(c.chance, c.chance_at_least, c.p_event_50) end as chance,
-        case when c.is_observed then c.chance end * m.cost as message_cost
-    from check_chances as c
+        c.forecast_chance,
+        case when c.status != 'contradicted' then c.forecast_chance end as chance,
+        case when c.is_observed and c.status != 'contradicted' then c.chance end * m.cost as message_cost
+    from forecasts as c
     left join message_costs as m on c.component = m.component
+),
+
+judged as (
+    select
+        c.*,
+        case
+            when m.is_pressing or a.since is not null then 'act'
+            when c.forecast_chance >= 0.1 then 'plan'
+            else 'none'
+        end as urgency,
+        case when m.is_pressing then m.message_at else a.since end as urgent_since,
+        case when m.is_pressing then 'message' else a.changed_by end as urgent_by
+    from chances as c
+    left join act_states as a
+        on c.operator = a.operator and c.tail = a.tail and c.pack = a.pack and c.component = a.component
+    left join open_messages as m
+        on c.operator = m.operator and c.tail = m.tail and c.pack = m.pack and c.component = m.component
 )
 
-select
-    c.*,
-    case
-        when m.is_pressing or a.since is not null then 'act'
-        when c.chance >= 0.1 then 'plan'
-        else 'none'
-    end as urgency,
-    case when m.is_pressing then m.message_at else a.since end as urgent_since,
-    case when m.is_pressing then 'message' else a.changed_by end as urgent_by
-from chances as c
-left join act_states as a
-    on c.operator = a.operator and c.tail = a.tail and c.pack = a.pack and c.component = a.component
-left join open_messages as m
-    on c.operator = m.operator and c.tail = m.tail and c.pack = m.pack and c.component = m.component;
+select * exclude (forecast_chance)
+from judged;

@@ -180,7 +180,7 @@ def test_a_pack_without_an_open_alert_says_so_and_words_without_quotes_are_one_n
     answer = str(explain(home, "T-1 2"))
     assert "No alert is open. The last, sensor fault, closed 2024-03-21: alert cccc1111." in answer
     closed = str(explain(home, "cccc1111"))
-    assert "closed 2024-03-21 06:00 UTC" in closed
+    assert "closed 2024-03-21." in closed
     assert "At its end (after" in closed
     done = CliRunner().invoke(app, ["explain", "T-1", "1", "--home", str(home)])
     assert done.exit_code == 0, done.output

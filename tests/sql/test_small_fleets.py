@@ -190,6 +190,36 @@ def test_gaps():
     ]  # fmt: skip
 
 
+def leg_of(number: int, hours: float) -> dict:
+    """A leg of the first day, by its number, that departs so many hours into it."""
+    row = flight(0)
+    return row | {
+        "flight_id": f"{row['flight_id'][:-2]}{number:02d}",
+        "departed_at": row["departed_at"] + dt.timedelta(hours=hours),
+    }
+
+
+@pytest.mark.parametrize(
+    ("elsewhere", "n"),
+    [
+        ({}, [1]),
+        ({"record_held": [leg_of(2, 2)]}, []),
+        ({"raw_quarantine": [{"file": f"AAA/T-1/acms/{leg_of(2, 2)['flight_id']}.csv", "reason": "no_rows"}]}, []),
+        ({"raw_quarantine": [{"file": "f", "flight_id": leg_of(2, 2)["flight_id"], "reason": "bad_pack"}]}, []),
+    ],
+)
+def test_leg_that_is_held_or_refused_has_arrived(elsewhere, n):
+    own = {"scope": "row", "n_rows": 1} | OWN
+    tables = {name: [own | row for row in rows] for name, rows in elsewhere.items()}
+    con = catalog(raw_flights=[leg_of(1, 0), leg_of(3, 4)], **tables)
+    assert [k for (k,) in rows(con, "select n_flights from data_gaps where gap = 'missing_leg'")] == n
+
+
+def test_exchanged_legs_leave_no_gap():
+    con = catalog(raw_flights=[leg_of(1, 0), leg_of(3, 2), leg_of(2, 4)])
+    assert rows(con, "select n_flights from data_gaps where gap = 'missing_leg'") == []
+
+
 def test_sensors_are_judged_by_what_was_recorded_and_what_was_left():
     def sample(k: int, value: float | None, table: str) -> dict:
         rest = {"source": "acms", "phase": "cruise", "nominal": True, "monitored": True, "n_averaged": 1, "file": "f"}

@@ -94,3 +94,17 @@ def test_a_recovered_alert_stays_closed():
     closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="recovered")
     entry = work("HX", "CLEANED")
     assert alerts_now(closed, entry, entry.clear())["closed_reason"].to_list() == ["recovered"]
+
+
+def test_a_closing_taken_back_opens_no_alert_that_ended_before_it():
+    before = LATER - dt.timedelta(hours=1)
+    closed = alerts("HX_FOULING", "HX", closed_at=before, closed_reason="renewed")
+    entry = work("HX", "CLEANED")
+    assert alerts_now(closed, entry, entry.clear())["closed_at"].to_list() == [before]
+
+
+def test_other_work_still_ends_an_alert_whose_closing_was_taken_back():
+    closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="found_clean")
+    clean = work("HX", "INSPECTED", **CLEAN)
+    wash = work("HX", "CLEANED")
+    assert alerts_now(closed, pl.concat([clean, wash]), wash)["closed_reason"].to_list() == ["renewed"]

@@ -55,7 +55,7 @@ def test_little_reserve_on_a_sound_exchanger_is_its_own_diagnosis_and_a_worn_one
     assert "2 K above its level" in row["evidence"]
     assert "7 K above it on a hot day" in row["evidence"]
     assert "air outside -8 K" in row["evidence"]
-    assert "a new exchanger alone does not help" in row["recommended_action"]
+    assert "a new exchanger alone does not remove the cause" in row["recommended_action"]
     assert row["closed_at"] is None
     assert hx(raise_alerts(fleet(0.97, 0.25), LOG)) == ["HX_FOULING"]
 
