@@ -118,11 +118,24 @@ def _alert_change(row: Row) -> str:
     return f"{', '.join(steps)}. {_alert(row)}"
 
 
+_OUTCOMES = {
+    "found": "a fault was found",
+    "answered": "work took a loss away",
+    "message": "the message came",
+    "no_fault_found": "no fault was found",
+    "recovered": "it recovered by itself",
+    "open": "it is open",
+    "not_yet_known": "not known yet what it was",
+    "withdrawn": "the data show it no more",
+}
+"""What came of an alert, by its code in `alert_outcomes`."""
+
+
 def _closing(row: Row) -> str:
     when = f" on {row['closed_on']}" if row["closed_on"] else ""
     work = f", {row['work_orders']}" if row.get("work_orders") else ""
     head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}: closed{when}"
-    return f"{head}, outcome {row['outcome'].replace('_', ' ')}{work}. [{row['case_id']}]"
+    return f"{head}: {_OUTCOMES[row['outcome']]}{work}. [{row['case_id']}]"
 
 
 def _outlook(row: Row) -> str:

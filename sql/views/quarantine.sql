@@ -1,9 +1,10 @@
 -- What was rejected, and why?
 -- Grain: rejected file, row or value; computed row; tail that flies for two operators on the same days; channel that a
 -- recorder delivers otherwise than one reading a row, with the first file of it;
--- name of an airframe with flights before its delivery, or on days on which no line of fleet.csv holds.
+-- name of an airframe with flights before its delivery, or on days on which no line of fleet.csv holds; aircraft of
+-- planned checks that nobody knows.
 -- Reads: tables.raw_quarantine, tables.raw_records_quarantine, tables.raw_files_quarantine, tables.raw_flights,
--- tables.raw_components_quarantine, tables.raw_deliveries, recorder_channels, aircraft.
+-- tables.raw_components_quarantine, tables.raw_deliveries, tables.raw_checks, recorder_channels, aircraft.
 create or replace view quarantine as
 with spans as (
     select
@@ -109,6 +110,29 @@ notes as (
         || strftime(max(departed_at), '%Y-%m-%d') || ' ' || words as detail
     from outside
     group by file, reason, operator, tail, words
+),
+
+unknown_checks as (
+    select
+        'checks.csv' as file,
+        'unknown_tail' as reason,
+        'note' as scope,
+        c.operator,
+        c.tail,
+        0::bigint as n_rows,
+        count(*) || ' checks of ' || c.operator || ' ' || c.tail
+        || ', which has no flight and no line in fleet.csv: they count for none.' as detail
+    from tables.raw_checks as c
+    where
+        (c.operator, c.tail) not in (
+            select (a.operator, a.tail)
+            from aircraft as a
+        )
+        and (c.operator, c.tail) not in (
+            select (f.operator, f.tail)
+            from tables.raw_flights as f
+        )
+    group by c.operator, c.tail
 )
 
 select * from tables.raw_quarantine
@@ -123,4 +147,6 @@ select * from shared
 union all by name
 select * from channels
 union all by name
-select * from notes;
+select * from notes
+union all by name
+select * from unknown_checks;

@@ -1,7 +1,7 @@
 -- Of which units was nothing seen beyond the prior, and for how long?
--- counts_from: since when the unit is fitted by the log of work; NULL where that was before the first entry
 -- Beyond the prior is an estimate once its standard deviation is a third of the prior's, or five flights have moved it;
 -- flights of few samples move it only where half of those flown did: a handful of rows on some of them is no knowledge.
+-- counts_from: since when the unit is fitted by the log of work; NULL where that was before the first entry
 -- counts_to: departure of the first flight after which its loss is so known, or since when the next unit is fitted;
 -- NULL where nothing is seen tonight
 -- Grain: operator, tail, pack, component, counts_from. Reads: health_parameters, tables.components,
