@@ -20,7 +20,7 @@ START = datetime(2024, 1, 1, tzinfo=UTC)
 
 
 UNSEEN = np.array([""])
-VALUES = ("loss", "share_left", "share_left_sd", "found")
+VALUES = ("loss", "share_left", "share_left_sd", "fault")
 
 
 def washed(n: int, loss: float = 0.2, share_left: float = 0.6, found: str = "") -> Washes:
@@ -134,7 +134,7 @@ def test_shown_washes_are_measured():
 def test_finding_of_a_wash_is_its_own_or_that_of_an_inspection_before(inspected_on, own, found):
     washes = learned(log_line(inspected_on, "INSPECTED", "CLOGGED"), log_line(20, "CLEANED", own))
 
-    assert washes.found.tolist() == [found]
+    assert washes.fault.tolist() == [found]
 
 
 @pytest.mark.parametrize(
@@ -150,4 +150,4 @@ def test_finding_of_a_wash_is_its_own_or_that_of_an_inspection_before(inspected_
 def test_unit_is_as_last_inspected_since_its_work(lines, found):
     washes = learned(log_line(20, "CLEANED", ""), *(log_line(day, "INSPECTED", finding) for day, finding in lines))
 
-    assert washes.found_of(pl.DataFrame([PACK_1], schema_overrides={"pack": pl.Int32})).tolist() == [found]
+    assert washes.faults_of(pl.DataFrame([PACK_1], schema_overrides={"pack": pl.Int32})).tolist() == [found]
