@@ -1,8 +1,4 @@
-"""Facts of a case at one moment, a record for each kind of evidence; NaN where not recorded.
-
-A field is a feature of the pack's last flights, by its column's name, unless `FROM_CASE` lists it: then the rule that
-raised the case has measured it.
-"""
+"""Facts of a case at one moment, a record for each kind of evidence; NaN where not recorded."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -15,25 +11,39 @@ OF_THE_CASE = ("since", "follows", "biased")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
-    """Facts of any case."""
+    """Facts of any case, all measured by the rule that raised it."""
+
+    @classmethod
+    def collect(cls, own: Mapping[str, Any], latest: Callable[[str], float]) -> Self:
+        """Build the record from what the case's rule measured, and where it has any the latest value of each feature.
+
+        Raises
+        ------
+        TypeError
+            The rule measured what the record has no field for, or left out what it needs.
+        """
+        return cls(**_evidence(own))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeatureFacts(Facts):
+    """Facts that are features of the pack's last flights, by their columns' names, but for those of `FROM_CASE`."""
 
     FROM_CASE: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def collect(cls, own: Mapping[str, Any], latest: Callable[[str], float]) -> Self:
-        """Build the record from what the case's rule measured and the latest value of each feature.
-
-        Raises
-        ------
-        TypeError
-            The rule measured what the record has no field for.
-        """
+        """Build the record: see `Facts.collect`."""
         features = {f.name: latest(f.name) for f in fields(cls) if f.name not in cls.FROM_CASE}
-        return cls(**features, **{name: value for name, value in own.items() if name not in OF_THE_CASE})
+        return cls(**features, **_evidence(own))
+
+
+def _evidence(own: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in own.items() if name not in OF_THE_CASE}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExchangerFacts(Facts):
+class ExchangerFacts(FeatureFacts):
     """Of a worn or clogged exchanger."""
 
     FROM_CASE = ("gained", "jump")
@@ -45,15 +55,13 @@ class ExchangerFacts(Facts):
     door_full_open_share: float
     door_median_between_packs: float
     ram_flow_loss: float
-    gained: float = nan  # since the unit's least loss
+    gained: float = nan  # by its last ten flights over its ten best
     jump: float = nan  # within three flights
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarginFacts(ExchangerFacts):
     """Of an exchanger with little cooling margin left."""
-
-    FROM_CASE = ExchangerFacts.FROM_CASE
 
     hx_passage_100: float
     hx_passage_300: float
@@ -68,7 +76,7 @@ class MarginFacts(ExchangerFacts):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CompressorFacts(Facts):
+class CompressorFacts(FeatureFacts):
     """Of a worn compressor."""
 
     FROM_CASE = ("shrunk",)
@@ -84,8 +92,6 @@ class CompressorFacts(Facts):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DoorFacts(Facts):
     """Of a door that is jammed or ends its travel too soon."""
-
-    FROM_CASE = ("kind", "stop", "excess_k")
 
     kind: str
     stop: float
@@ -126,7 +132,7 @@ class SensorFacts(Facts):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LossFacts(Facts):
+class LossFacts(FeatureFacts):
     """Of a worn part that a package declares."""
 
     loss: float
