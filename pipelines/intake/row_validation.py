@@ -73,22 +73,26 @@ def _row_reasons(raw: pl.DataFrame, files: Sequence[LandingFile], slips: pl.Data
     keys = raw.select(*unit, "report_time", "pack").join(
         flights, on=unit, how="left", nulls_equal=True, maintain_order="left", validate="m:1"
     )
+    keys = keys.with_columns(counts_from_0=_counts_from_0().over(unit))
     moment = pl.col("report_time")
     in_flight = moment.is_between(pl.col("day") - EARLY, pl.col("day") + LATE)
     reason = (
         pl.when(pl.col("wrong_id").is_not_null()).then("wrong_id")
         .when(moment.is_null()).then(pl.lit("unreadable_time"))
         .when(~in_flight).then(pl.lit("time_contradicts_flight_id"))
-        .when(~is_pack(pl.col("packs")) | _counts_from_0().over(unit)).then(pl.lit("bad_pack"))
+        .when(~is_pack(pl.col("packs")) | pl.col("counts_from_0")).then(pl.lit("bad_pack"))
     )  # fmt: skip
-    from_0 = pl.when(_counts_from_0().over(unit)).then(pl.lit(FROM_0)).alias("own_sentence")
-    rows = keys.select(reason.alias("reason"), from_0).with_row_index("index")
+    reasons = keys.select(reason.alias("reason"), "counts_from_0")
+    is_rejected = pl.col("reason").is_not_null()
+    from_0 = pl.when((pl.col("reason") == "bad_pack") & pl.col("counts_from_0")).then(pl.lit(FROM_0))
+    if slips.is_empty():
+        return reasons.select("reason", column_name=pl.lit(None, pl.String), sentence=from_0)
+    rows = reasons.with_row_index("index")
     rows = rows.join(slips, on="index", how="left", suffix="_slip", maintain_order="left", validate="m:1")
-    is_slip = pl.col("reason").is_null()
     return rows.select(
-        pl.coalesce("reason", "reason_slip").alias("reason"),
-        pl.when(is_slip).then("column_name").alias("column_name"),
-        pl.when(is_slip).then("sentence").when(pl.col("reason") == "bad_pack").then("own_sentence").alias("sentence"),
+        reason=pl.coalesce("reason", "reason_slip"),
+        column_name=pl.when(~is_rejected).then("column_name"),
+        sentence=pl.coalesce(from_0, pl.when(~is_rejected).then("sentence")),
     )
 
 
