@@ -79,8 +79,7 @@ def change_case(home: Path, case: Case, kind: str, person: str, last_line: int |
         Somebody else changed the case since `last_line`.
     """
     if kind in _OPEN_ONLY and case["closed_at"] is not None:
-        closed_on = (case["closed_at"] - timedelta(microseconds=1)).date()  # work of a day counts from its end
-        raise RefusedError(f"this alert closed on {closed_on} ({case['closed_reason']})")
+        raise RefusedError(f"this alert closed on {case['closed_on']} ({case['closed_reason']})")
     body = {"note": _text(fields.get("note"), "note")} | (_BODY[kind](case, fields) if kind in _BODY else {})
     state = {column: case[key] for column, key in _STATE_THEN.items()}
     line = {k: v for k, v in (body | state).items() if v is not None}
@@ -204,6 +203,7 @@ _CASES = """
     with known as (select alert_id, list(known_as) as names from alert_cases group by alert_id)
     select
         c.*, s.sensor, s.now_loss, s.now_p_event_50, s.evidence_now, s.recommended_action, s.follows, k.names,
+        s.closed_on,
         coalesce(s.closed_at, s.now_departed_at) as open_until,
         coalesce(n.key_operator, c.operator) as key_operator, coalesce(n.key_tail, c.tail) as key_tail
     from cases as c

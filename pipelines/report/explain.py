@@ -97,7 +97,7 @@ def _text(con: duckdb.DuckDBPyConnection, tasks: Tasks, unit: UnitRow, others: S
 
 
 def _before(last: Row) -> str:
-    values = {"diagnosis": words.diagnosis(last["diagnosis"]), "day": words.last_day(last["closed_at"])}
+    values = {"diagnosis": words.diagnosis(last["diagnosis"]), "day": words.day(last["closed_on"])}
     return _("The last, {diagnosis}, closed {day}: alert {id}.", id=last["alert_id"], **values)
 
 
@@ -138,7 +138,7 @@ def _beside(unit: UnitRow) -> str:
 def _alert_lines(a: Row) -> list[str]:
     """Describe an alert: its state, its evidence when raised and now, and what to do."""
     is_closed = a["closed_at"] is not None
-    state = _("closed {time}", time=words.last_day(a["closed_at"])) if is_closed else words.urgency(a)
+    state = _("closed {time}", time=words.day(a["closed_on"])) if is_closed else words.urgency(a)
     same = a["evidence"] == a["evidence_now"]
     severity = a["severity"]
     at_first = a["raised_severity"]

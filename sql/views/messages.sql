@@ -33,8 +33,7 @@ works as (
             and l.component = w.component
             and l.next_departed_at >= w.flown_from
             and l.end_departed_at < w.flown_from
-            and w.in_force
-            and w.action in ('REPLACED', 'CLEANED')
+            and w.answered_by is not null
     where l.ended_by = 'message'
     qualify
         row_number() over (
