@@ -15,7 +15,8 @@ from docs import hindsight
 from docs.hindsight import DESIGN, REVISIONS
 from hdt_core.tables import TABLES
 from pipelines.storage.catalog import connect
-from pipelines.storage.publication import meanings_of_columns, publish, read_header, views
+from pipelines.storage.publication import publish
+from pipelines.storage.view_headers import meanings_of_columns, read_header, views
 
 _TITLE = """# Data dictionary
 

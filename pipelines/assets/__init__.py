@@ -10,7 +10,8 @@ from pipelines.assets.stage import any_parent_newer, group_of
 from pipelines.report.facts import views_read
 from pipelines.resources import Home, frame_io
 from pipelines.storage.catalog import CATALOG
-from pipelines.storage.publication import publish, view_headers
+from pipelines.storage.publication import publish
+from pipelines.storage.view_headers import view_headers
 
 
 def asset_definitions(

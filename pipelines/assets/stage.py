@@ -24,7 +24,7 @@ from pipelines.resources import (
     storing,
     tables_set_aside,
 )
-from pipelines.storage.publication import MEANINGS
+from pipelines.storage.view_headers import MEANINGS
 
 PUBLISHED = "9_catalog_report"
 """Asset group of the catalog and the report."""

@@ -33,10 +33,11 @@ from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.database import DatabaseError
 from pipelines.storage.ledger import FILE, Ledger
 from pipelines.storage.objects import StoreError
-from pipelines.storage.publication import find_staleness, views
+from pipelines.storage.publication import find_staleness
 from pipelines.storage.seal import CYCLE, NAME, changed_files, find_ledger_fault, name_files, read_seal
 from pipelines.storage.settings import notify_file
 from pipelines.storage.store import Store
+from pipelines.storage.view_headers import views
 
 _NEEDED_GB = 1.0
 FILES_A_FOLDER = 3

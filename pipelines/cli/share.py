@@ -37,7 +37,7 @@ def export(
     """Write the catalog's views as Parquet, CSV or DuckDB."""
     from pipelines.sharing import access_scope
     from pipelines.sharing import export as write
-    from pipelines.storage.publication import views
+    from pipelines.storage.view_headers import views
 
     where = home_folder(home)
     names = views()

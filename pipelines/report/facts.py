@@ -12,7 +12,8 @@ from hdt_core.calibration.dsm import Dsm
 from pipelines.report.rows import UnitRow, dates_line, read_rows
 from pipelines.report.tasks import Tasks, read_tasks
 from pipelines.storage.catalog import connect
-from pipelines.storage.publication import publish_lines, views
+from pipelines.storage.publication import publish_lines
+from pipelines.storage.view_headers import views
 
 _SEGMENT = """
     with best as (

@@ -20,8 +20,8 @@ from pipelines.report.templating import policy, render
 from pipelines.report.tonight import tonight_with_cards
 from pipelines.storage.catalog import connect
 from pipelines.storage.files import replacing
-from pipelines.storage.publication import read_header, views
 from pipelines.storage.settings import alert_limits, changed_limits
+from pipelines.storage.view_headers import read_header, views
 from pipelines.words import _, format_count
 
 CLOSED_DAYS = 180  # alerts closed longer ago stand in the catalog only

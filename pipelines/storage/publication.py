@@ -6,19 +6,12 @@ view would be planned over two hundred Parquet readers, a second of processor be
 """
 
 import fcntl
-import re
 import shutil
 import sys
-from collections import ChainMap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache
-from graphlib import TopologicalSorter
-from importlib import resources
 from pathlib import Path
 
-import dataframely as dy
 import duckdb
 
 from hdt_core.tables import TABLES
@@ -41,70 +34,7 @@ from pipelines.storage.objects import StoreError, message_of
 from pipelines.storage.seal import copy_ledger, find_night, remove_expired_daily, write_seal
 from pipelines.storage.since_night import LIVE, create_live_view, live_select, prepare_since, store_since
 from pipelines.storage.store import EMPTY, Store
-
-_COLUMN = re.compile(r"^([a-z][a-z0-9_]*): (.*)")
-_OTHER = re.compile(r"^(Grain|Reads): (.*)")
-
-
-@dataclass(frozen=True, slots=True)
-class ViewHeader:
-    """Comment on top of a view: its question, its grain and the meaning of the columns that it computes."""
-
-    question: str
-    notes: str
-    grain: str
-    sources: tuple[str, ...]
-    columns: dict[str, str]
-
-
-def read_header(sql: str) -> ViewHeader:
-    """Parse a view's header: first the question, `name: meaning` for a column, `Grain:` and `Reads:` at the end."""
-    question, *lines = [line.removeprefix("--").strip() for line in sql.splitlines() if line.startswith("--")]
-    parts: dict[str, list[str]] = {"": []}
-    key = ""
-    for line in re.sub(r"(Reads:)", r"\n\1", "\n".join(lines)).splitlines():
-        match = _COLUMN.match(line) or _OTHER.match(line)
-        if match:
-            key = match.group(1)
-        parts.setdefault(key, []).append(match.group(2) if match else line)
-    text = {k: " ".join(v).strip() for k, v in parts.items()}
-    sources = tuple(r.strip() for r in text.pop("Reads", "").rstrip(".").split(",") if r.strip())
-    return ViewHeader(question, text.pop(""), text.pop("Grain", "").rstrip("."), sources, text)
-
-
-@cache
-def views() -> dict[str, str]:
-    """Read the SQL of every view by its file's name, each after those that its header lists under `Reads:`."""
-    files = sorted((resources.files("sql") / "views").iterdir(), key=lambda file: file.name)
-    sql = {f.name.removesuffix(".sql"): f.read_text() for f in files if f.name.endswith(".sql")}
-    sources = {name: [s for s in read_header(text).sources if s in sql] for name, text in sql.items()}
-    return {name: sql[name] for name in TopologicalSorter(sources).static_order()}
-
-
-def view_headers() -> dict[str, ViewHeader]:
-    """Parse the header of every view, in the order of `views`."""
-    return {name: read_header(sql) for name, sql in views().items()}
-
-
-def meanings_of_columns() -> dict[str, dict[str, str]]:
-    """Map each view to the meanings of its columns: by its own header, else by the tables and views it reads."""
-    meanings: dict[str, dict[str, str]] = {}
-    for view, header in view_headers().items():
-        tables = [MEANINGS[s.removeprefix("tables.")] for s in header.sources if s.startswith("tables.")]
-        others = [{c: m for c, m in meanings[s].items() if m} for s in header.sources if s in meanings]
-        meanings[view] = dict(ChainMap(header.columns, *tables, *others))
-    return meanings
-
-
-def describe_column(column: dy.Column) -> str:
-    """Describe a declared column: meaning and unit."""
-    metadata = column.metadata or {}
-    return str(metadata.get("meaning", "")) + (f" [{metadata['unit']}]" if metadata.get("unit") else "")
-
-
-MEANINGS = {t: {name: describe_column(c) for name, c in entry.schema.columns().items()} for t, entry in TABLES.items()}
-"""Meaning and unit of each declared column of each table."""
-
+from pipelines.storage.view_headers import MEANINGS, meanings_of_columns, view_headers, views
 
 HASH = ".catalog.hash"
 Tables = dict[str, tuple[int, list[str]]]
@@ -468,12 +398,6 @@ def _comment_live(con: duckdb.DuckDBPyConnection) -> None:
     for table in LIVE:
         for part in (f"{table}_of_night", f"{table}_since"):
             _comment(con, f"tables.{part}", MEANINGS[table])
-
-
-def tables_read() -> list[str]:
-    """List the tables that some view reads."""
-    names = {t for sql in views().values() for t in re.findall(r"\btables\.(\w+)", sql)}
-    return [t for t in TABLES if t in names]
 
 
 def add_meanings(con: duckdb.DuckDBPyConnection, table: str) -> None:

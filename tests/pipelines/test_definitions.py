@@ -20,7 +20,7 @@ from pipelines.lineage import LINEAGE, STAGE
 from pipelines.orchestration.runs import LOCATION, EngineError, open_instance
 from pipelines.resources import NIGHT, Home
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.publication import read_header, views
+from pipelines.storage.view_headers import read_header, views
 
 GROUPS = {
     "1_recorder_files", "2_record", "3_flight_legs", "4_system_model", "5_twin",

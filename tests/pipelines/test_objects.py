@@ -19,8 +19,9 @@ from pipelines.sharing import access_scope, export
 from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError, bucket
-from pipelines.storage.publication import publish, views
+from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, URL, Store
+from pipelines.storage.view_headers import views
 
 TABLE = "prognosis_model"
 WRITE = "import sys, polars as pl; from pathlib import Path; from pipelines.storage.store import FLEET, Store;" + (

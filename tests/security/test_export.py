@@ -23,8 +23,9 @@ from nights import empty_home, once
 from hdt_core.tables import TABLES
 from pipelines.sharing import FORMATS, MANIFEST, AccessScope, access_scope, export, safe
 from pipelines.storage.catalog import CATALOG, connect
-from pipelines.storage.publication import publish, tables_read, views
+from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET, Store
+from pipelines.storage.view_headers import tables_read, views
 
 KEY = b"canary-key-5e0d-tell-nobody"
 OWN, OTHER = ("AQX", "LX-AAB"), ("BZR", "A9-BAC")

@@ -9,7 +9,7 @@ import duckdb
 import pytest
 
 from pipelines.storage.catalog import CATALOG
-from pipelines.storage.publication import views
+from pipelines.storage.view_headers import views
 
 OTHER = """
 import sys, duckdb

@@ -13,7 +13,7 @@ from command import hdt
 from small_catalog import catalog
 
 from pipelines.storage.catalog import CATALOG, open_database
-from pipelines.storage.publication import views
+from pipelines.storage.view_headers import views
 
 OLD_RELEASES = ("1.1.3", "1.4.1", "1.5.5")
 FUNCTIONS_OF_1_1 = """

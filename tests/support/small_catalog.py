@@ -9,7 +9,7 @@ import polars as pl
 
 from hdt_core.components import component_rows
 from hdt_core.tables import TABLES
-from pipelines.storage.publication import views
+from pipelines.storage.view_headers import views
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
 OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
