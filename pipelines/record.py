@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import polars as pl
 
-from hdt_core.record.judge import judge_flights
+from hdt_core.record.judge import CONTRADICTED, judge_flights
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 from pipelines.lineage import HELD
 from pipelines.storage.ledger import Ledger
@@ -20,7 +20,11 @@ def judge_record(ledger: Ledger) -> pl.DataFrame:
         return held_rows
     files = ledger.of(held_rows.select("operator", "tail").unique().rows()).flight_files().sort("path")
     received_at = pl.from_epoch(pl.col("mtime_ns").first() // 1_000_000_000).dt.replace_time_zone("UTC")
-    first_files = files.group_by(FLIGHT).agg(pl.col("path").first().alias("file"), received_at.alias("held_since"))
+    is_log_at_fault = pl.col("reason") == CONTRADICTED
+    of_log = is_log_at_fault & (pl.col("kind") == "cpl")
+    verdicts = held_rows.select(*FLIGHT, "reason")
+    blamed = files.join(verdicts, on=FLIGHT, validate="m:1").filter(~is_log_at_fault | of_log)
+    first_files = blamed.group_by(FLIGHT).agg(pl.col("path").first().alias("file"), received_at.alias("held_since"))
     named = held_rows.drop("file", "held_since").join(first_files, on=FLIGHT, how="left", validate="1:1")
     return named.select(held_rows.columns).sort(*FLIGHT)
 

@@ -10,12 +10,22 @@ from math import sqrt
 import numpy as np
 import polars as pl
 
-from hdt_core.record.facts import BETWEEN_PACKS
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 from hdt_core.robust import MAD_TO_SD, Array
 
 EXCHANGED = "packs_exchanged"
-"""Reason of flights that are used, each pack in its own place; those of other reasons are not used."""
+"""Reason of flights that are used, each pack in its own place."""
+BETWEEN_PACKS = {
+    "hx_in_between_packs_k": "hx_in_k",
+    "hx_out_between_packs_k": "hx_out_k",
+    "cc_in_between_packs_k": "cc_in_k",
+    "ram_door_between_packs": "ram_door_open",
+    "pack_flow_between_packs_kg_s": "pack_flow_kg_s",
+    "cc_speed_between_packs_rad_s": "cc_speed_rad_s",
+    "cc_in_between_packs_pa": "cc_in_pa",
+    "cc_out_between_packs_pa": "cc_out_pa",
+}
+"""Signals that distinguish two packs, by the column of pack 1's mean above pack 2's."""
 BEFORE, LEAST_BEFORE = 20, 8
 """Flights that show how the packs differ, at most and at least."""
 AFTER = 5
@@ -35,6 +45,12 @@ MEDIAN_TOLERANCE = 0.6
 MAX_CHANGES = 20
 """Changes of one aircraft that are followed."""
 _IS_TEMPERATURE = np.array([name.endswith("_k") for name in BETWEEN_PACKS])
+
+
+def between_packs(signal: str) -> pl.Expr:
+    """Return how far pack 1's mean of a signal lies above pack 2's."""
+    first, second = (pl.col(signal).filter(pl.col("pack") == number).mean() for number in (1, 2))
+    return first - second
 
 
 def exchanged_packs(flights: pl.DataFrame) -> pl.DataFrame:
@@ -57,30 +73,6 @@ def exchanged_packs(flights: pl.DataFrame) -> pl.DataFrame:
     aircraft = suspects.select(AIRCRAFT).unique(maintain_order=True).iter_rows(named=True)
     held_flights = [_flights_of_exchange(standardised.filter(**own)) for own in aircraft]
     return pl.concat([standardised.clear(), *held_flights]).select(*FLIGHT, reason=pl.lit(EXCHANGED))
-
-
-def unused(held_flights: pl.DataFrame) -> pl.DataFrame:
-    """Select the held flights from which nothing is computed."""
-    return held_flights.filter(pl.col("reason") != EXCHANGED)
-
-
-def usable_rows(rows: pl.DataFrame, held_flights: pl.DataFrame) -> pl.DataFrame:
-    """Return the recorded rows of the flights that are used, with exchanged packs in their own places.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        Of `raw_snapshots` and `raw_logs`.
-    held_flights : DataFrame
-        Of `record_held`.
-    """
-    used = rows.join(unused(held_flights), on=FLIGHT, how="anti", maintain_order="left")
-    exchanged = held_flights.filter(reason=EXCHANGED).select(*FLIGHT, is_exchanged=True)
-    if exchanged.is_empty():
-        return used
-    marked = used.join(exchanged, on=FLIGHT, how="left", maintain_order="left", validate="m:1")
-    own_pack = pl.when("is_exchanged").then(3 - pl.col("pack")).otherwise("pack")
-    return marked.with_columns(own_pack.cast(rows.schema["pack"]).alias("pack")).select(rows.columns)
 
 
 def _find_changes(flights: pl.DataFrame) -> Array:

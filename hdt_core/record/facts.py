@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import polars as pl
 
 from hdt_core.flight.samples import CRUISE_FLOOR_M
+from hdt_core.record.exchange import BETWEEN_PACKS, between_packs
+from hdt_core.record.two_sources import contradicted_logs, without_logs
 from hdt_core.records.keys import FLIGHT
 from hdt_core.tables.raw import SIGNALS
 
@@ -14,17 +16,6 @@ SILENCE_S = 10_800
 """Reports come every 2 to 10 minutes; the longest gap of an intact flight in the sample fleet is 26 minutes. [s]"""
 GROUND_STOP_S = 1_200
 """Longest time between airborne reports below cruise within a flight: a hold has reports, a turnaround none. [s]"""
-BETWEEN_PACKS = {
-    "hx_in_between_packs_k": "hx_in_k",
-    "hx_out_between_packs_k": "hx_out_k",
-    "cc_in_between_packs_k": "cc_in_k",
-    "ram_door_between_packs": "ram_door_open",
-    "pack_flow_between_packs_kg_s": "pack_flow_kg_s",
-    "cc_speed_between_packs_rad_s": "cc_speed_rad_s",
-    "cc_in_between_packs_pa": "cc_in_pa",
-    "cc_out_between_packs_pa": "cc_out_pa",
-}
-"""Signals that distinguish two packs, by the column of pack 1's mean above pack 2's."""
 AIRPORTS = ("origin", "destination")
 
 
@@ -34,8 +25,11 @@ def flight_facts(rows: pl.DataFrame) -> pl.DataFrame:
     Parameters
     ----------
     rows : DataFrame
-        Of `raw_snapshots` and `raw_logs`, with `row_in_file`, the row's place in its file.
+        Of `raw_snapshots` and `raw_logs`, with `row_in_file`, the row's place in its file. A log that contradicts the
+        snapshots of its flight is left out.
     """
+    log_faults = contradicted_logs(rows)
+    rows = without_logs(rows, log_faults)
     acms = pl.col("source") == "acms"
     cpl = pl.col("source") == "cpl"
     one_source = pl.when(cpl.any()).then(pl.lit("cpl")).otherwise(pl.lit("acms"))
@@ -60,17 +54,12 @@ def flight_facts(rows: pl.DataFrame) -> pl.DataFrame:
         machs.max().alias("highest_mach"),
         pl.col("tat_k").mean().alias("mean_tat_k"),
         pl.col("hx_in_k").mean().alias("mean_hx_in_k"),
-        *(_between_packs(signal).alias(name) for name, signal in BETWEEN_PACKS.items()),
+        *(between_packs(signal).alias(name) for name, signal in BETWEEN_PACKS.items()),
         pl.sum_horizontal(pl.col(SIGNALS).count()).cast(pl.Int64).alias("n_values"),
     )
-    with_steps = flights.join(_backward_steps(rows), on=FLIGHT, how="left", validate="1:1")
-    return with_steps.with_columns(pl.col("clock_back_s", "n_steps_back").fill_null(0))
-
-
-def _between_packs(signal: str) -> pl.Expr:
-    """Return how far pack 1's mean of a signal lies above pack 2's."""
-    first, second = (pl.col(signal).filter(pl.col("pack") == number).mean() for number in (1, 2))
-    return first - second
+    for further in (_backward_steps(rows), log_faults):
+        flights = flights.join(further, on=FLIGHT, how="left", maintain_order="left", validate="1:1")
+    return flights.with_columns(pl.col("clock_back_s", "n_steps_back").fill_null(0))
 
 
 def ground_stops(rows: pl.DataFrame, key: Sequence[str]) -> pl.DataFrame:

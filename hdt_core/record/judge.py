@@ -9,7 +9,7 @@ from datetime import datetime
 import polars as pl
 
 from hdt_core.flight.samples import CRUISE_FLOOR_M
-from hdt_core.record.exchange import exchanged_packs
+from hdt_core.record.exchange import EXCHANGED, exchanged_packs
 from hdt_core.record.facts import AIRBORNE_MACH, SILENCE_S
 from hdt_core.record.overlap import overlapping
 from hdt_core.record.reach import out_of_reach
@@ -24,6 +24,8 @@ DAY_S = 86_400
 """Step back of a clock whose date was not advanced at midnight, but for the time between two reports. [s]"""
 FEW_STEPS = 3
 """Steps back in a file's order up to which a clock was set; a file in no order has more."""
+CONTRADICTED = "log_contradicts"
+"""Reason of flights that are used without their log."""
 CONTINUES_S = 1_800
 """Longest pause in the air between two parts of a flight: three times the longest wait for a report. [s]"""
 CLIMB_RATE_M_S = 25.0
@@ -49,13 +51,20 @@ def judge_flights(flights: pl.DataFrame, delivered_on: pl.DataFrame, now: dateti
     """
     held_flights = [_alone(flights, now)]
     rest = flights.join(held_flights[0], on=FLIGHT, how="anti")
-    for judge in (_continuations, overlapping, lambda own: _out_of_reach(own, delivered_on), exchanged_packs):
+    for judge in (
+        _continuations,
+        overlapping,
+        lambda own: _out_of_reach(own, delivered_on),
+        exchanged_packs,
+        _contradicted,
+    ):
         verdict = judge(rest)
         held_flights.append(verdict)
         rest = rest.join(verdict, on=FLIGHT, how="anti")
     verdicts = pl.concat(held_flights, how="diagonal")
-    of_flights = flights.select(*FLIGHT, "departed_at", "landed_at")
-    return RecordHeld.conform(of_flights.join(verdicts, on=FLIGHT, validate="1:1"))
+    without_log = pl.col("log_fault").is_not_null().alias("without_log")
+    held = flights.select(*FLIGHT, "departed_at", "landed_at", without_log).join(verdicts, on=FLIGHT, validate="1:1")
+    return RecordHeld.conform(held.with_columns(is_used=pl.col("reason").is_in([EXCHANGED, CONTRADICTED])))
 
 
 def _alone(flights: pl.DataFrame, now: datetime) -> pl.DataFrame:
@@ -94,3 +103,9 @@ def _continuations(flights: pl.DataFrame) -> pl.DataFrame:
 
 def _out_of_reach(flights: pl.DataFrame, delivered_on: pl.DataFrame) -> pl.DataFrame:
     return out_of_reach(flights, delivered_on).with_columns(reason=pl.lit("out_of_reach"))
+
+
+def _contradicted(flights: pl.DataFrame) -> pl.DataFrame:
+    """Select flights whose log contradicts their snapshots."""
+    verdict = flights.filter(pl.col("log_fault").is_not_null())
+    return verdict.select(*FLIGHT, reason=pl.lit(CONTRADICTED), likely_cause="log_fault")

@@ -102,14 +102,17 @@ class RawFlights(FlightTable):
     n_values = count("recorded values", nullable=True)
     clock_back_s = count("largest step back of the clock in the order of the file", "s", nullable=True)
     n_steps_back = count("steps back of the clock in the order of the file", nullable=True)
+    log_fault = text("log_clock or log_packs where the log contradicts the snapshots, which then count alone")
 
 
 class RecordHeld(FlightTable):
-    """One flight that is stored and from which nothing is computed, for its time or identity can't be right."""
+    """One flight that is stored and not used as delivered, for its time or identity can't be right."""
 
     departed_at = moment("first recorded time, as delivered")
     landed_at = moment("last recorded time, as delivered")
     reason = text("reason code", nullable=False)
+    is_used = flag("whether it is used: each pack in its own place, or without its log")
+    without_log = flag("whether its continuous log contradicts its snapshots, and is left out")
     likely_cause = text("code of what made it so, where the numbers show one")
     other_flight_id = text("flight that it copies, continues or overlaps")
     file = text("file that delivered it, below the landing zone")

@@ -16,7 +16,7 @@ from hdt_core.flight.admission import NominalBaseline, admit, learn_baseline, le
 from hdt_core.flight.channels import find_channels
 from hdt_core.flight.control_schedules import learn_schedules
 from hdt_core.flight.legs import judge_legs, reject_odd_bleed
-from hdt_core.record.exchange import usable_rows
+from hdt_core.record.usable import usable_rows
 from hdt_core.records.keys import FLIGHT_PACK, LEG, of_each_aircraft
 from hdt_core.tables.raw import SIGNALS
 from pipelines.assets.components import parts_in_service

@@ -11,7 +11,7 @@ from hdt_core.components import Component, component_rows, recorded_components
 from hdt_core.components.pack import CC, HX, PARTS, Parts
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals
-from hdt_core.record.exchange import unused
+from hdt_core.record.usable import unused
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG
 from hdt_core.tables import TABLES
 from hdt_core.tracking import track

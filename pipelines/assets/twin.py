@@ -17,7 +17,7 @@ from hdt_core.health.residuals import residuals as compare
 from hdt_core.health.sensor_checks import cross_checks
 from hdt_core.health.work import judge_log, known_log, settled_log
 from hdt_core.margin.exchanger_demand import exchanger_demand
-from hdt_core.record.exchange import unused
+from hdt_core.record.usable import unused
 from hdt_core.records.keys import FLIGHT
 from hdt_core.tracking.loss_filter import TrackResult, join_tracks
 from hdt_core.tracking.track import track

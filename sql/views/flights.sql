@@ -42,7 +42,7 @@ all_flights as (
     from tables.raw_flights as f
     left join verdicts as v on f.operator = v.operator and f.flight_id = v.flight_id
     anti join tables.record_held as h
-        on f.operator = h.operator and f.flight_id = h.flight_id and h.reason <> 'packs_exchanged'
+        on f.operator = h.operator and f.flight_id = h.flight_id and not h.is_used
     union all
     select
         operator,

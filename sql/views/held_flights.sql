@@ -1,7 +1,7 @@
 -- Which flights are not used as delivered, why, and what made them so?
 -- departed_at: as delivered
 -- likely_cause: null where the numbers show none
--- reason: of packs_exchanged the flights are used, each pack in its own place; of any other they are not
+-- is_used: of packs_exchanged each pack in its own place, of log_contradicts without the log
 -- Grain: flight. Reads: tables.record_held, airframes.
 create or replace view held_flights as
 select
@@ -12,6 +12,7 @@ select
     h.departed_at,
     h.file,
     h.reason,
+    h.is_used,
     h.likely_cause,
     h.held_since,
     h.other_flight_id

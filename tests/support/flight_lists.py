@@ -4,7 +4,7 @@ from datetime import UTC, datetime, timedelta
 
 import polars as pl
 
-from hdt_core.record.facts import BETWEEN_PACKS
+from hdt_core.record.exchange import BETWEEN_PACKS
 from hdt_core.tables.raw import RawFlights
 
 START = datetime(2024, 3, 4, 6, tzinfo=UTC)

@@ -4,9 +4,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.record.exchange import EXCHANGED, exchanged_packs, usable_rows
-from hdt_core.record.facts import BETWEEN_PACKS
+from hdt_core.record.exchange import BETWEEN_PACKS, EXCHANGED, exchanged_packs
 from hdt_core.record.judge import judge_flights
+from hdt_core.record.usable import usable_rows
 from tests.support.flight_lists import NOW, fleet
 
 N_FLIGHTS = 90
@@ -101,7 +101,10 @@ def test_exchanged_packs_are_read_in_their_places():
     key = {"operator": "AQX", "tail": "LX-AA0"}
     rows = pl.DataFrame([key | {"flight_id": f, "pack": p} for f in "abc" for p in (1, 2)])
     held = pl.DataFrame(
-        [key | {"flight_id": "b", "reason": EXCHANGED}, key | {"flight_id": "c", "reason": "no_flight"}]
+        [
+            key | {"flight_id": "b", "reason": EXCHANGED, "is_used": True, "without_log": False},
+            key | {"flight_id": "c", "reason": "no_flight", "is_used": False, "without_log": False},
+        ]
     )
 
     used = usable_rows(rows, held)
