@@ -24,7 +24,7 @@ NO_LOG = RawMaintenance.create_empty()
 
 @pytest.mark.parametrize("late", range(6))
 @pytest.mark.parametrize("timed", [False, True])
-def test_it_ends_at_the_first_flight_after_the_work_however_late_the_log_is(late: int, timed: bool) -> None:
+def test_work_closes_alert_at_next_flight(late: int, timed: bool) -> None:
     """Even where the track goes on as if nothing had happened."""
     rows = features(np.linspace(0.0, 0.35, FLIGHTS))
     done = departure(60 + late) - timedelta(minutes=5)
@@ -36,7 +36,7 @@ def test_it_ends_at_the_first_flight_after_the_work_however_late_the_log_is(late
     assert alert["now_flight_id"] == last
 
 
-def test_it_ends_with_the_work_though_no_flight_has_followed() -> None:
+def test_work_after_last_flight_closes_alert() -> None:
     rows = features(np.linspace(0.0, 0.35, FLIGHTS))
     for days in (0, 3):
         done = departure(FLIGHTS - 1) + timedelta(days=days, hours=1)
@@ -49,7 +49,7 @@ def test_it_ends_with_the_work_though_no_flight_has_followed() -> None:
     assert alerts(rows, work(departure(FLIGHTS), "CC"))["closed_at"].to_list() == [None], "another component's work"
 
 
-def test_a_new_unit_has_an_alert_of_its_own_and_a_busier_aircraft_beside_it_changes_nothing() -> None:
+def test_new_unit_has_own_alert() -> None:
     """A clog's case is not carried on by the loss of the unit that came after it."""
     flight = np.arange(FLIGHTS)
     loss = np.where(flight < 40, 0.03, np.where(flight < 52, 0.28, 0.012 * np.maximum(flight - 52, 0)))
@@ -65,7 +65,7 @@ def test_a_new_unit_has_an_alert_of_its_own_and_a_busier_aircraft_beside_it_chan
 
 
 @pytest.mark.parametrize("code", DIAGNOSES)
-def test_every_diagnosis_ends_with_work_on_its_component_and_no_other(code: str) -> None:
+def test_diagnosis_ends_with_own_component(code: str) -> None:
     diagnosis, grid = DIAGNOSES[code], Grid.from_frame(features(np.zeros(FLIGHTS)))
     for component in ("HX", "CC", "RAM_DOOR", "SENSOR"):
         for action in ("REPLACED", "INSPECTED"):
@@ -75,7 +75,7 @@ def test_every_diagnosis_ends_with_work_on_its_component_and_no_other(code: str)
             assert case.closed_flight == (50 if component == diagnosis.component and action == "REPLACED" else None)
 
 
-def test_when_raised_and_now_are_told_apart_and_what_was_raised_is_never_said_otherwise() -> None:
+def test_raised_evidence_stays_as_written() -> None:
     rows = features(np.linspace(0.0, 0.35, FLIGHTS), door_full_open_share=np.linspace(0.0, 0.4, FLIGHTS) ** 2)
     (alert,) = alerts(rows, NOTHING).to_dicts()
     raised = rows.filter(flight_id=alert["raised_flight_id"])["hx_fouling"].item()
@@ -95,14 +95,14 @@ def role(text: str, phrase: str) -> str:
     return max((r for r in ROLES if f"{r}:" in before), key=lambda r: before.rfind(f"{r}:"))
 
 
-def test_a_clog_without_loss_of_ram_flow_has_a_witness_against_it() -> None:
+def test_clog_with_ram_flow_is_contested() -> None:
     loss = np.where(np.arange(FLIGHTS) < 60, 0.03, 0.3)
     (alert,) = alerts(features(loss, ram_flow_loss=0.0), NOTHING).to_dicts()
     assert alert["diagnosis"] == "HX_SUDDEN_CLOG"
     assert role(alert["evidence"], "no blockage") == "Against"
 
 
-def test_every_diagnosis_is_known_wherever_diagnoses_are_listed() -> None:
+def test_diagnoses_are_listed_everywhere() -> None:
     declared = set(DIAGNOSES)
     listed = str((FeaturesAlerts.columns()["diagnosis"].metadata or {})["meaning"])
     check = (Path(__file__).parents[3] / "sql/checks/alerts_in_disorder.sql").read_text()
@@ -116,7 +116,7 @@ def three_packs() -> pl.DataFrame:
     return pl.concat(f.with_columns(tail=pl.lit(f"T-{k}")) for k, f in enumerate(worn))
 
 
-def test_the_limit_in_service_says_what_was_said_and_a_lower_one_hears_of_more_and_earlier() -> None:
+def test_lower_limit_raises_more_alerts() -> None:
     rows = three_packs()
     in_service = {t.diagnosis: t.alerts for t in trials(rows, NOTHING) if t.in_service}
     assert set(in_service) == set(VALUES)
@@ -152,7 +152,7 @@ def worn(after: float) -> np.ndarray:
     return np.where(flight < LOOKED_AFTER, 0.2 * flight / LOOKED_AFTER, later)
 
 
-def test_an_inspection_that_found_it_clean_closes_it_at_once_and_for_as_long_as_the_loss_stays() -> None:
+def test_clean_finding_closes_alert() -> None:
     (alert,) = alerts(features(worn(0.0)), inspection()).to_dicts()
     assert (alert["closed_at"], alert["closed_reason"]) == (departure(LOOKED_AFTER), "found_clean")
     (alert,) = alerts(features(worn(0.0)), inspection(FLIGHTS)).to_dicts()
@@ -162,7 +162,7 @@ def test_an_inspection_that_found_it_clean_closes_it_at_once_and_for_as_long_as_
     assert with_it.drop("closed_at", "closed_reason").equals(without.drop("closed_at", "closed_reason"))
 
 
-def test_a_loss_that_grows_on_comes_back_as_the_sensors() -> None:
+def test_growing_loss_returns_as_sensor_fault() -> None:
     first, second = alerts(features(worn(0.1)), inspection()).to_dicts()
     assert (first["diagnosis"], first["closed_reason"]) == ("HX_FOULING", "found_clean")
     assert second["diagnosis"] == "SENSOR_FAULT"
@@ -175,7 +175,7 @@ def test_a_loss_that_grows_on_comes_back_as_the_sensors() -> None:
     assert "neither wash nor new part yet" in second["recommended_action"]
 
 
-def test_a_loss_that_grows_by_a_whole_limit_is_wear_again() -> None:
+def test_growth_by_limit_is_wear() -> None:
     cases = alerts(features(worn(0.25)), inspection())
     assert cases["diagnosis"].to_list() == ["HX_FOULING", "SENSOR_FAULT"], "one spell is told once"
     gap = worn(0.25)
@@ -185,7 +185,7 @@ def test_a_loss_that_grows_by_a_whole_limit_is_wear_again() -> None:
 
 
 @pytest.mark.parametrize(("growth", "back"), [(0.031, True), (0.029, False)])
-def test_three_points_more_on_three_flights_of_four_contradict_an_inspection(growth: float, back: bool) -> None:
+def test_three_points_contradict_inspection(growth: float, back: bool) -> None:
     loss = np.where(np.arange(FLIGHTS) < LOOKED_AFTER + 5, worn(0.0), LOSS_THEN + growth)
     cases = alerts(features(loss), inspection())
     assert cases["diagnosis"].to_list() == ["HX_FOULING"] + ["SENSOR_FAULT"] * back
@@ -195,7 +195,8 @@ def test_three_points_more_on_three_flights_of_four_contradict_an_inspection(gro
 
 
 @pytest.mark.parametrize(("after", "stays"), [(0.0149, False), (0.0151, True)])
-def test_a_contradiction_is_held_for_15_flights_above_half_of_it(after: float, stays: bool) -> None:
+def test_contradiction_recovers_below_half(after: float, stays: bool) -> None:
+    """A contradiction lasts fifteen flights after the loss was last above half of the three points."""
     flight = np.arange(FLIGHTS)
     loss = np.where(flight < 65, worn(0.0), np.where(flight < 70, 0.25, LOSS_THEN + after))
     second = alerts(features(loss), inspection()).row(1, named=True)
@@ -203,7 +204,7 @@ def test_a_contradiction_is_held_for_15_flights_above_half_of_it(after: float, s
 
 
 @pytest.mark.parametrize(("growth", "wear"), [(0.151, True), (0.149, False)])
-def test_wear_is_believed_again_once_the_loss_has_grown_by_a_whole_limit(growth: float, wear: bool) -> None:
+def test_wear_returns_above_whole_limit(growth: float, wear: bool) -> None:
     flight = np.arange(FLIGHTS)
     loss = np.where(flight < LOOKED_AFTER, worn(0.0), np.where(flight < 80, 0.0, LOSS_THEN + growth))
     cases = alerts(features(loss).with_columns(hx_fouling_step_3=pl.lit(0.0)), inspection())
@@ -211,12 +212,12 @@ def test_wear_is_believed_again_once_the_loss_has_grown_by_a_whole_limit(growth:
 
 
 @pytest.mark.parametrize("finding", [None, "FOULED"])
-def test_an_inspection_that_found_something_or_says_nothing_ends_nothing(finding: str | None) -> None:
+def test_other_findings_close_nothing(finding: str | None) -> None:
     (alert,) = alerts(features(worn(0.1)), inspection(finding=finding)).to_dicts()
     assert (alert["closed_at"], alert["closed_reason"]) == (None, None)
 
 
-def test_the_sensors_case_ends_with_the_next_unit_and_with_a_new_sensor() -> None:
+def test_renewal_closes_sensor_case() -> None:
     for component in ("HX", "SENSOR"):
         new = work(departure(90) - timedelta(minutes=5), component, timed=True)
         loss = np.where((component == "HX") & (np.arange(FLIGHTS) >= 90), 0.0, worn(0.1))
@@ -228,7 +229,7 @@ def test_the_sensors_case_ends_with_the_next_unit_and_with_a_new_sensor() -> Non
     assert alerts(features(later), twice)["diagnosis"].to_list() == ["HX_FOULING"] * 2
 
 
-def test_an_alert_that_only_its_name_ends() -> None:
+def test_named_closing_ends_low_margin() -> None:
     """Little margin is not what an exchanger's inspection is about, unless an engineer says so of that very alert."""
     rows = features(np.full(FLIGHTS, 0.05), hx_passage_300=np.full(FLIGHTS, 0.99), hx_margin_k=np.full(FLIGHTS, 1.0))
     (alert,) = alerts(rows, inspection()).to_dicts()
@@ -239,7 +240,7 @@ def test_an_alert_that_only_its_name_ends() -> None:
 
 
 @pytest.mark.parametrize(("days", "units"), [((30, 60), 3), ((1, 60), 2), ((60,), 2), ((), 1)])
-def test_the_third_unit_in_ninety_days_asks_for_the_cause_upstream(days: tuple[int, ...], units: int) -> None:
+def test_third_unit_asks_for_cause(days: tuple[int, ...], units: int) -> None:
     """Flights begin on day 0, the alert is raised on day 100 or so."""
     flight = np.arange(4 * 110)
     loss = np.where(flight < 4 * 98, 0.01, 0.01 + 0.005 * (flight - 4 * 98))
@@ -251,7 +252,7 @@ def test_the_third_unit_in_ninety_days_asks_for_the_cause_upstream(days: tuple[i
 
 
 @pytest.mark.parametrize(("late_s", "units"), [(0, 2), (1, 3)])
-def test_units_count_from_ninety_days_before_the_alert(late_s: int, units: int) -> None:
+def test_units_count_over_ninety_days(late_s: int, units: int) -> None:
     flight = np.arange(4 * 110)
     rows = features(np.where(flight < 4 * 98, 0.01, 0.01 + 0.005 * (flight - 4 * 98)))
     raised = alerts(rows, work(departure(0)).clear())["raised_at"][0]
@@ -259,7 +260,7 @@ def test_units_count_from_ninety_days_before_the_alert(late_s: int, units: int) 
     assert alerts(rows, pl.concat(log))["units_in_90_days"].to_list() == [units]
 
 
-def test_units_fitted_after_the_alert_do_not_count() -> None:
+def test_later_units_do_not_count() -> None:
     flight = np.arange(4 * 110)
     rows = features(np.where(flight < 4 * 98, 0.01, 0.01 + 0.005 * (flight - 4 * 98)))
     log = [work(departure(4 * day), timed=True) for day in (60, 108)]
@@ -282,7 +283,7 @@ def since_night(*moments: datetime, pack: int = 1) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize(("late_s", "is_closed"), [(0, False), (1, True)])
-def test_only_work_after_the_alert_ends_it(open_alert: pl.DataFrame, late_s: int, is_closed: bool) -> None:
+def test_only_later_work_closes_alert(open_alert: pl.DataFrame, late_s: int, is_closed: bool) -> None:
     done = open_alert["raised_at"][0] + timedelta(seconds=late_s)
 
     alert = alerts_now(open_alert, NO_LOG, since_night(done))
@@ -290,7 +291,7 @@ def test_only_work_after_the_alert_ends_it(open_alert: pl.DataFrame, late_s: int
     assert alert["closed_at"].is_not_null().to_list() == [is_closed]
 
 
-def test_first_work_since_the_night_ends_it(open_alert: pl.DataFrame) -> None:
+def test_first_later_work_closes_alert(open_alert: pl.DataFrame) -> None:
     first = open_alert["raised_at"][0] + timedelta(days=1)
 
     alert = alerts_now(open_alert, NO_LOG, since_night(first + timedelta(days=1), first))
@@ -298,7 +299,7 @@ def test_first_work_since_the_night_ends_it(open_alert: pl.DataFrame) -> None:
     assert alert["closed_at"].to_list() == [first]
 
 
-def test_later_work_leaves_an_earlier_end(open_alert: pl.DataFrame) -> None:
+def test_later_work_keeps_closing_time(open_alert: pl.DataFrame) -> None:
     end = open_alert["raised_at"][0] + timedelta(days=1)
     ended = open_alert.with_columns(closed_at=pl.lit(end, open_alert.schema["closed_at"]))
 
@@ -307,7 +308,7 @@ def test_later_work_leaves_an_earlier_end(open_alert: pl.DataFrame) -> None:
     assert alert["closed_at"].to_list() == [end]
 
 
-def test_work_on_the_other_pack_ends_nothing(open_alert: pl.DataFrame) -> None:
+def test_other_pack_work_closes_nothing(open_alert: pl.DataFrame) -> None:
     done = open_alert["raised_at"][0] + timedelta(days=1)
 
     alert = alerts_now(open_alert, NO_LOG, since_night(done, pack=2))

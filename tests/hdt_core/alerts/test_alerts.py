@@ -64,7 +64,7 @@ def says_everything(out: pl.DataFrame) -> bool:
     return bool(out.select((words & cost & pl.col("recommended_action").str.contains("ATA 21-")).all()).item())
 
 
-def test_a_sound_aircraft_a_column_never_recorded_and_no_flights_raise_nothing(samples, nothing_done) -> None:
+def test_sound_aircraft_raises_nothing(samples, nothing_done) -> None:
     out = alerts_of(samples, track(samples, {}), nothing_done)
     assert out.height == 0
     assert FeaturesAlerts.faults(out) == []
@@ -76,7 +76,7 @@ def test_a_sound_aircraft_a_column_never_recorded_and_no_flights_raise_nothing(s
     assert cross_checks(none).height == 0
 
 
-def test_fouling_is_one_case_of_each_operators_tail_once_it_is_sure(samples, nothing_done) -> None:
+def test_fouling_raises_one_alert(samples, nothing_done) -> None:
     loss = 0.1 + 0.0012 * np.arange(FLIGHTS)
     health = track(samples, {1: loss})
     out = alerts_of(samples, health, nothing_done)
@@ -92,7 +92,7 @@ def test_fouling_is_one_case_of_each_operators_tail_once_it_is_sure(samples, not
     assert alerts_of(both, health, nothing_done)["operator"].to_list() == ["TST", "TSU"]
 
 
-def test_a_sudden_clog_is_called_within_three_flights_and_wavering_about_the_limit_is_one_case(
+def test_clog_is_raised_within_three_flights(
     samples, nothing_done
 ) -> None:
     loss = np.where(np.arange(FLIGHTS) >= 60, 0.32, 0.04)
@@ -112,7 +112,7 @@ def test_a_sudden_clog_is_called_within_three_flights_and_wavering_about_the_lim
     assert out["closed_at"][0] is not None
 
 
-def test_jam_is_a_door_and_not_a_sensor_nor_wear(samples, nothing_done) -> None:
+def test_jam_is_door_fault_only(samples, nothing_done) -> None:
     hit = fault(samples, 1, 50, 70)
     noise = 0.005 * (pl.int_range(pl.len()) % 3 - 1)
     jammed = samples.with_columns(
@@ -145,7 +145,7 @@ def test_shifted_sensor_is_named(samples, nothing_done, signal: str, change: flo
     assert when(samples, 50) <= out["raised_at"][0] <= when(samples, 50 + within)
 
 
-def test_one_packs_sensor_leaves_the_others_wear_alone_and_a_common_probe_is_told_of_both(
+def test_sensor_fault_leaves_other_packs_wear(
     samples, nothing_done
 ) -> None:
     hit = fault(samples, 2, 40)
@@ -174,14 +174,14 @@ def test_one_packs_sensor_leaves_the_others_wear_alone_and_a_common_probe_is_tol
         ("pack_flow_kg_s", "pack_over_compressor_flow_ln", -0.07, True),
     ],
 )
-def test_a_sensor_that_flatters_the_exchanger_excuses_no_wear(sensor, channel, shift, feigned) -> None:
+def test_flattering_sensor_excuses_no_wear(sensor, channel, shift, feigned) -> None:
     # by heat balance: an outlet that reads cold, an inlet, TAT or flow that reads high show too good a core
     facts = {"sensor": sensor, "channel": channel, "moved": shift, "biased": True}
     assert may_feign_wear(Case(0, "SENSOR", "SENSOR_FAULT", 5, None, facts)) == feigned
 
 
 @pytest.mark.parametrize("kind", ["frozen", "empty", "nulled"])
-def test_silent_sensor_is_one_case_that_closes_when_it_speaks(samples, nothing_done, kind: str) -> None:
+def test_silent_sensor_alert_closes_with_readings(samples, nothing_done, kind: str) -> None:
     hit = fault(samples, 1, 50, 60)
     some = pl.int_range(pl.len()) % 2 == 0
     values = {"frozen": pl.lit(0.83), "empty": pl.when(~some).then("pack_flow_kg_s"), "nulled": pl.lit(None)}
@@ -194,7 +194,7 @@ def test_silent_sensor_is_one_case_that_closes_when_it_speaks(samples, nothing_d
     assert says_everything(out)
 
 
-def test_nothing_leaks_from_the_future(samples, nothing_done) -> None:
+def test_alerts_ignore_later_flights(samples, nothing_done) -> None:
     hit = fault(samples, 2, 50)
     shifted = samples.with_columns(pl.when(hit).then(pl.col("hx_out_k") + 4.0).otherwise("hx_out_k").alias("hx_out_k"))
     health = track(shifted, {1: 0.004 * np.arange(FLIGHTS)})
@@ -208,7 +208,7 @@ def test_nothing_leaks_from_the_future(samples, nothing_done) -> None:
         assert part["evidence"].to_list() == then["evidence"].to_list()
 
 
-def test_a_door_at_its_lower_stop_is_not_jammed(samples, nothing_done) -> None:
+def test_door_at_lower_stop_is_sound(samples, nothing_done) -> None:
     """Types differ in where the door rests: at 12 % it does so in cold air, from climb to descent."""
     noise = 0.005 * (pl.int_range(pl.len()) % 3 - 1)
     cold = samples["time_utc"].is_between(when(samples, 40), when(samples, 60))
@@ -220,7 +220,8 @@ def test_a_door_at_its_lower_stop_is_not_jammed(samples, nothing_done) -> None:
 
 
 @pytest.mark.parametrize(("excess_k", "raised"), [(6.0, True), (0.6, False)])
-def test_one_flight_far_above_target_at_a_stop_is_lost_travel(samples, nothing_done, excess_k, raised) -> None:
+def test_warm_stop_is_lost_travel(samples, nothing_done, excess_k, raised) -> None:
+    """One flight is enough where the outlet is far above its target."""
     wide = samples.with_columns(ram_door_open=3.0 * pl.col("ram_door_open"))
     reach = 0.8 * wide["ram_door_open"].max()
     short = fault(wide, 1, 60, 61) & (pl.col("ram_door_open") > reach)
@@ -245,7 +246,7 @@ def test_one_flight_far_above_target_at_a_stop_is_lost_travel(samples, nothing_d
     ],
     ids=["inlet reads high", "inlet reads low", "door reads high", "a blockage"],
 )
-def test_the_models_cross_checks_tell_inlet_and_door_from_a_blockage(samples, nothing_done, shifts, sensor) -> None:
+def test_model_checks_separate_sensor_from_blockage(samples, nothing_done, shifts, sensor) -> None:
     health = track(samples, {1: np.where(np.arange(FLIGHTS) >= 50, 0.12, 0.0)} if sensor is None else {})
     legs = health.select("operator", "tail", "flight_id", "pack", "departed_at")
     rows = features(health, Residuals.create_empty(), legs, nothing_done, cross_checks=cross_checks(samples))

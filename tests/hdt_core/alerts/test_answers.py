@@ -46,7 +46,7 @@ def test_work_ends_alerts_of_its_part(diagnosis, component, action, reason):
     assert ending(alerts(diagnosis, component), work(component, action))[1] == reason
 
 
-def test_it_ends_when_the_work_counts():
+def test_alert_ends_when_work_counts():
     assert ending(alerts("HX_FOULING", "HX"), work("HX", "CLEANED"))[0] == LATER
 
 
@@ -76,34 +76,35 @@ CLEAN = {"finding": "NO_FAULT_FOUND"}
         ("HX_LOW_MARGIN", {"closes_diagnosis": "HX_FOULING", "closes_alert_id": "b"}, None),
     ],
 )
-def test_a_sound_part_ends_what_it_contradicts(diagnosis, closes, reason):
+def test_clean_finding_closes_contradicted_alert(diagnosis, closes, reason):
     assert ending(alerts(diagnosis, "HX"), work("HX", "INSPECTED", **CLEAN, **closes))[1] == reason
 
 
-def test_a_fault_that_was_found_ends_nothing():
+def test_fault_finding_closes_nothing():
     assert ending(alerts("HX_FOULING", "HX"), work("HX", "INSPECTED", finding="FOULED"))[1] is None
 
 
-def test_a_closing_taken_back_opens_its_alert():
+def test_withdrawn_closing_reopens_alert():
     closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="renewed")
     entry = work("HX", "CLEANED")
     assert alerts_now(closed, entry, entry.clear()).select("closed_at", "closed_reason").row(0) == (None, None)
 
 
-def test_a_recovered_alert_stays_closed():
+def test_recovered_alert_stays_closed():
     closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="recovered")
     entry = work("HX", "CLEANED")
     assert alerts_now(closed, entry, entry.clear())["closed_reason"].to_list() == ["recovered"]
 
 
-def test_a_closing_taken_back_opens_no_alert_that_ended_before_it():
+def test_withdrawn_closing_keeps_earlier_end():
     before = LATER - dt.timedelta(hours=1)
     closed = alerts("HX_FOULING", "HX", closed_at=before, closed_reason="renewed")
     entry = work("HX", "CLEANED")
     assert alerts_now(closed, entry, entry.clear())["closed_at"].to_list() == [before]
 
 
-def test_other_work_still_ends_an_alert_whose_closing_was_taken_back():
+def test_remaining_work_keeps_alert_closed():
+    """The closing is withdrawn, the wash of the same day is not."""
     closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="found_clean")
     clean = work("HX", "INSPECTED", **CLEAN)
     wash = work("HX", "CLEANED")

@@ -13,17 +13,17 @@ def latest(name: str) -> float:
     return LOST.get(name, math.nan)
 
 
-def test_features_are_the_latest_and_the_rest_is_the_cases():
+def test_facts_join_features_with_case():
     facts = CompressorFacts.collect({"since": 3, "shrunk": -0.02, "follows": None}, latest)
 
     assert (facts.cc_efficiency_loss, facts.shrunk) == (0.1, -0.02)
 
 
-def test_feature_not_recorded_is_no_number():
+def test_unrecorded_feature_is_nan():
     assert math.isnan(CompressorFacts.collect({}, latest).cc_diameter_loss)
 
 
 @pytest.mark.parametrize("own", [{"kind": "jam", "stop": 0.4}, {"kind": "jam", "stop": 0.4, "exces_k": 0.0}])
-def test_rule_that_measures_other_facts_is_an_error(own):
+def test_undeclared_fact_is_an_error(own):
     with pytest.raises(TypeError, match=r"excess?_k"):
         DoorFacts.collect(own, latest)

@@ -23,7 +23,7 @@ from hdt_core.health.detection import Shift, watch
 
 
 @pytest.mark.parametrize("flights", [0, 1, 2, 5, 12])
-def test_medians_of_what_was_measured_are_numpys(flights):
+def test_median_z_matches_numpy(flights):
     rng = np.random.default_rng(flights)
     z = rng.standard_normal((flights, 40))
     z[rng.random(z.shape) < 0.4] = np.nan
@@ -35,7 +35,7 @@ def test_medians_of_what_was_measured_are_numpys(flights):
         assert np.isnan(middle[k]) if not values.size else middle[k] == np.median(values) * np.sqrt(worth[k])
 
 
-def test_a_doubt_that_outlasts_the_record_is_left_open() -> None:
+def test_doubt_at_record_end_stays_open() -> None:
     """The last aircraft has the shorter record: what the grid holds beyond it is padding and no flight."""
     flown = [(tail, f, p) for tail, flights in (("T-1", 60), ("T-2", 30)) for f in range(flights) for p in (1, 2)]
     rows = pl.DataFrame(flown, schema=["tail", "flight", "pack"], orient="row").with_columns(
@@ -82,7 +82,7 @@ def told_by_hand(z: np.ndarray, loss: np.ndarray, k: int, first: int) -> tuple[l
 
 
 @pytest.mark.parametrize(("k", "first"), [(40, 40), (45, 40), (55, 40), (12, 12)])
-def test_what_is_looked_at_is_the_late_flights_of_both_packs(k: int, first: int) -> None:
+def test_shifts_are_medians_of_late_flights(k: int, first: int) -> None:
     rng, grid = np.random.default_rng(3), two_packs(60)
     z, loss = rng.normal(size=(2, 60, 15)), rng.normal(0.1, 0.02, (2, 60))
     loss[:, ::7] = np.nan
@@ -110,7 +110,7 @@ def named(monkeypatch, classify: object, end: int | None = None) -> tuple[int, d
     return Indications(grid, shift, np.zeros((2, 150)), grid.partner()).isolate(4, (0, 20, end))
 
 
-def test_a_sensor_is_named_with_probability_95_per_cent(monkeypatch) -> None:
+def test_sensor_is_named_at_95_percent(monkeypatch) -> None:
     def classify(k: int) -> list[tuple[str, str, float]]:
         mine = 0.951 if k >= 30 else 0.949
         return [("mach", "own", mine - 0.1), ("tat_k", "both", 0.1), ("hx", "own", 0.03), ("nothing", "own", 0.01)]
@@ -126,7 +126,8 @@ def test_a_sensor_is_named_with_probability_95_per_cent(monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("p", "from_flight", "name"), [(0.991, 20, None), (0.989, 20, 40), (0.991, 26, None), (0.991, 24, 40)]
 )
-def test_the_other_packs_sensor_ends_the_search_from_the_sixth_flight_on(monkeypatch, p, from_flight, name) -> None:
+def test_other_packs_sensor_ends_search(monkeypatch, p, from_flight, name) -> None:
+    """From the sixth flight on, at a probability of 99 %."""
     def classify(k: int) -> list[tuple[str, str, float]]:
         theirs = p if (from_flight <= k < from_flight + 1 or from_flight == 20) and k < 40 else 0.0
         return [("mach", "other", theirs), ("hx", "other", 0.0), ("tat_k", "own", 0.96 if k >= 40 else 0.0)]
@@ -138,7 +139,7 @@ def test_the_other_packs_sensor_ends_the_search_from_the_sixth_flight_on(monkeyp
 @pytest.mark.parametrize(
     ("sure_at", "end", "name"), [(119, None, 119), (120, None, None), (59, 60, 59), (60, 60, None)]
 )
-def test_a_shift_waits_a_hundred_flights_for_its_name(monkeypatch, sure_at, end, name) -> None:
+def test_search_ends_after_hundred_flights(monkeypatch, sure_at, end, name) -> None:
     isolated = named(monkeypatch, lambda k: [("mach", "own", 0.96 * (k >= sure_at))], end)
     assert (isolated and isolated[0]) == name
 
@@ -158,7 +159,7 @@ def expected_shifts(k: int, size: float, rng: np.random.Generator) -> np.ndarray
 
 @pytest.mark.parametrize("k", SENSORS, ids=lambda k: "-".join(SIGNATURES.names[k]))
 @pytest.mark.parametrize("size", [-1.0, 1.0])
-def test_names_the_sensor_and_the_pack(k: int, size: float) -> None:
+def test_classifier_names_sensor_of_pack(k: int, size: float) -> None:
     rng = np.random.default_rng(k)
     hits = [classify(expected_shifts(k, size, rng), FLIGHTS)[0][:2] == SIGNATURES.names[k] for _ in range(20)]
     # what only the hot inlet's law sees may be its own sensor or the discharge's
@@ -166,13 +167,13 @@ def test_names_the_sensor_and_the_pack(k: int, size: float) -> None:
 
 
 @pytest.mark.parametrize("sensor", ["hx_in_k", "ram_door_open"])
-def test_the_hot_inlet_and_the_door_are_not_taken_for_wear(sensor: str) -> None:
+def test_inlet_or_door_is_not_wear(sensor: str) -> None:
     z = expected_shifts(SIGNATURES.names.index((sensor, "own")), 1.0, np.random.default_rng(1))
     blamed = sum(p for name, whose, p in classify(z, FLIGHTS) if name not in NO_SENSOR and whose != "other")
     assert blamed > 0.95
 
 
-def test_what_it_cannot_know_is_not_named_and_chance_is_no_fault() -> None:
+def test_ambiguous_outlet_is_not_named() -> None:
     # left against right alone can't tell whose outlet it is
     z = np.full(SIGNATURES.shift.shape[1], np.nan)
     z[AT["hx_out_between_packs_k"]] = 12.0
@@ -222,7 +223,7 @@ def by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], float]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_posterior_is_bayes_rule(seed: int) -> None:
+def test_posterior_follows_bayes_rule(seed: int) -> None:
     rng = np.random.default_rng(seed)
     z = 2.0 * rng.standard_normal(SIGNATURES.shift.shape[1])
     z[rng.random(z.size) < 0.2] = np.nan
@@ -251,7 +252,7 @@ hx_fouling_flight 0.016 0: hx_out_k 0.03, hx_in_k -0.008, tat_k -0.024, pack_flo
 """The matrix on paper: check, scatter, wander; what one unit of each fault does to it, and the spread of that."""
 
 
-def test_the_matrix_is_that_on_paper() -> None:
+def test_signature_matrix_is_as_declared() -> None:
     checks = {c.name: c for c in (*CHANNELS, HX_STEP)}
     for line in MOVES.strip().splitlines():
         head, _, faults = line.partition(": ")
@@ -270,7 +271,7 @@ def test_the_matrix_is_that_on_paper() -> None:
 
 
 @pytest.mark.parametrize("inlet", [-2.0, 0.0, 3.0])
-def test_a_real_step_of_the_exchanger_is_no_sensor(inlet: float) -> None:
+def test_exchanger_step_is_no_sensor_fault(inlet: float) -> None:
     z = np.zeros(SIGNATURES.shift.shape[1])
     # a blockage takes ram flow, too, and the hot inlet feels it
     z[AT["hx_fouling_flight"]], z[AT["hx_in_over_discharge_k"]] = 12.0, inlet

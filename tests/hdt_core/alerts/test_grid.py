@@ -12,7 +12,7 @@ from hdt_core.alerts.cases import UNOBSERVED, Grid, Limits
 from hdt_core.components import components
 
 
-def test_across_gives_the_other_packs_values_on_the_same_flight() -> None:
+def test_across_reads_other_pack() -> None:
     flown = [("F1", 1, 1.0), ("F1", 2, 2.0), ("F2", 1, 3.0), ("F3", 1, 5.0), ("F3", 2, 6.0)]
     rows = pl.DataFrame(flown, schema=["flight_id", "pack", "x"], orient="row").with_columns(
         pl.col("pack").cast(pl.Int32),
@@ -40,7 +40,7 @@ def status(observed: np.ndarray, otherwise: str = "predicted") -> pl.Series:
 
 @pytest.mark.parametrize("observed", [BEFORE_ANY, np.arange(N) < 10])
 @pytest.mark.parametrize("otherwise", UNOBSERVED)
-def test_a_prediction_that_drifts_past_the_limit_raises_nothing(observed, otherwise):
+def test_unobserved_drift_raises_nothing(observed, otherwise):
     drift = features(np.linspace(0.0, 0.6, N)).with_columns(
         status(observed, otherwise).alias("hx_fouling_status"), pl.lit(None, pl.Float64).alias("hx_fouling_flight"),
         hx_passage_300=pl.Series(np.where(observed, 0.0, 0.99)), hx_fouling_step_3=pl.lit(0.0),
@@ -48,7 +48,7 @@ def test_a_prediction_that_drifts_past_the_limit_raises_nothing(observed, otherw
     assert alerts(drift, NO_WORK)["diagnosis"].to_list() == []
 
 
-def test_wear_that_some_flights_show_is_told_but_not_of_the_next_unit():
+def test_partly_observed_wear_raises_alert():
     worn = features(np.where(np.arange(N) < 10, 0.0, 0.3)).with_columns(
         status(np.arange(N) % 2 == 0).alias("hx_fouling_status"), hx_fouling_step_3=pl.lit(0.0)
     )
@@ -64,7 +64,7 @@ def test_wear_that_some_flights_show_is_told_but_not_of_the_next_unit():
 
 
 @pytest.mark.parametrize("otherwise", UNOBSERVED)
-def test_the_loss_of_a_compressor_is_no_alert_until_it_was_seen(otherwise):
+def test_unobserved_compressor_loss_raises_nothing(otherwise):
     drift = features(np.zeros(N)).with_columns(
         status(BEFORE_ANY, otherwise).alias("cc_efficiency_loss_status"),
         cc_efficiency_loss=pl.lit(0.2), cc_efficiency_loss_sd=pl.lit(0.01),
@@ -74,7 +74,7 @@ def test_the_loss_of_a_compressor_is_no_alert_until_it_was_seen(otherwise):
 
 
 @pytest.mark.parametrize(("loss_status", "raised"), [("ok", 1), *((s, 0) for s in UNOBSERVED)])
-def test_nor_is_that_of_a_declared_component(loss_status, raised):
+def test_unobserved_component_loss_raises_nothing(loss_status, raised):
     component = next(c for c in components().values() if c.record is not None)
     described = features(np.zeros(N)).with_columns(
         component=pl.lit(component.code), loss=pl.lit(3.0 * component.warn_loss), loss_sd=pl.lit(0.01),
@@ -83,7 +83,7 @@ def test_nor_is_that_of_a_declared_component(loss_status, raised):
     assert raise_component_alerts(described, NO_WORK, component, Limits()).height == raised
 
 
-def test_flags_are_carried_from_the_last_flight_that_was_observed():
+def test_flags_carry_from_observed_flight():
     frame = features(np.zeros(6)).with_columns(
         status(np.array([False, True, False, True, False, False])).alias("hx_fouling_status")
     )

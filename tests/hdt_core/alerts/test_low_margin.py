@@ -48,7 +48,7 @@ def hx(alerts: pl.DataFrame) -> list[str]:
     return alerts.filter(component="HX")["diagnosis"].to_list()
 
 
-def test_little_reserve_on_a_sound_exchanger_is_its_own_diagnosis_and_a_worn_one_is_called_worn():
+def test_low_margin_is_its_own_diagnosis():
     cases = raise_alerts(fleet(0.97, 0.04), LOG)
     assert hx(cases) == ["HX_LOW_MARGIN"]
     row = cases.row(0, named=True)
@@ -60,7 +60,7 @@ def test_little_reserve_on_a_sound_exchanger_is_its_own_diagnosis_and_a_worn_one
     assert hx(raise_alerts(fleet(0.97, 0.25), LOG)) == ["HX_FOULING"]
 
 
-def test_it_ends_with_the_unit():
+def test_new_unit_closes_low_margin():
     flights = fleet(0.97, 0.04)
     done = flights["departed_at"][25].date()
     log = pl.DataFrame(
@@ -124,14 +124,14 @@ def alerts(loss: object, log: pl.DataFrame = NOTHING, **more: object) -> pl.Data
 
 
 @pytest.mark.parametrize(("odds", "raised"), [(0.701, 1), (0.699, 0)])
-def test_a_loss_beyond_its_warning_with_probability_7_of_10(odds, raised):
+def test_component_alert_needs_seventy_percent(odds, raised):
     cases = alerts(WARN + 0.01 * norm.ppf(odds))
     assert cases["diagnosis"].to_list() == [UNIT.diagnosis] * raised
     assert cases["raised_flight_id"].to_list() == ["F002"] * raised
     assert cases["component"].to_list() == [UNIT.code] * raised
 
 
-def test_three_flights_of_four_are_held_for_fifteen_until_work_ends_it():
+def test_component_alert_persists_fifteen_flights():
     for after, closed in ((0.749, 54), (0.75, 54), (0.751, None)):
         cases = alerts(np.where(FLIGHT < 40, 2.0 * WARN, after * WARN))
         assert cases["closed_at"].to_list() == [departure(closed) if closed else None]
@@ -148,7 +148,7 @@ def test_three_flights_of_four_are_held_for_fifteen_until_work_ends_it():
     assert "since F000" in early["evidence"][0]
 
 
-def test_severity_and_evidence_in_figures():
+def test_component_evidence_states_figures():
     diagnosis = diagnosis_of(UNIT, Limits())
     for loss, severity in ((0.79 * FAILS, "medium"), (0.81 * FAILS, "high")):
         facts = LossFacts(loss=loss, loss_sd=0.01, loss_slope_30_per_flight=0.0021, loss_step_3=0.101)
@@ -166,7 +166,7 @@ def test_severity_and_evidence_in_figures():
     assert "points" not in diagnosis.evidence(replace(calm, loss_step_3=float("nan")), "F07").text()
 
 
-def test_features_of_one_component_under_one_name():
+def test_component_features_share_one_name():
     long = described(0.0).select("operator", "tail", "flight_id", "pack", "departed_at").with_columns(
         component=pl.lit(UNIT.code), parameter=pl.lit(UNIT.loss), value=0.001 * pl.int_range(pl.len()), sd=pl.lit(0.01),
         status=pl.lit("ok"),

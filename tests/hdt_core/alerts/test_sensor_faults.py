@@ -34,14 +34,14 @@ def empty(share: float, first: int = 30) -> np.ndarray:
         (empty(0.6, 3), {}, True), (empty(0.6, 2), {}, False), (empty(0.5, 2), {}, False), (empty(0.49, 2), {}, True),
     ],
 )  # fmt: skip
-def test_a_sensor_that_spoke_on_three_flights_is_empty_too_often(empty_share, more, raised):
+def test_emptying_sensor_is_a_case(empty_share, more, raised):
     """A fifth of the readings and four of them; one that was half empty from the start was never there."""
     first = int(np.argmax(empty_share > 0.0))
     expected = [max(first + 1, 3 if empty_share[0] == 0.0 and first == 2 else 0)]
     assert [case.raised_flight for case in mach_cases(empty_share=empty_share, **more)] == (expected if raised else [])
 
 
-def test_two_flights_of_three_are_held_for_eight_above_a_third_of_the_limit():
+def test_dropout_persists_eight_flights():
     empty_share = np.where(np.isin(FLIGHT, (30, 32)), 0.3, 0.0)
     assert spans(mach_cases(empty_share=empty_share)) == [("SENSOR_FAULT", 32, 40)]
     assert mach_cases(empty_share=np.where(np.isin(FLIGHT, (30, 33)), 0.3, 0.0)) == []
@@ -52,7 +52,7 @@ def test_two_flights_of_three_are_held_for_eight_above_a_third_of_the_limit():
 
 
 @pytest.mark.parametrize(("share", "kind"), [(0.951, "frozen"), (0.949, "dropout")])
-def test_what_is_all_but_empty_or_stands_still_is_frozen(share, kind):
+def test_silent_sensor_is_frozen(share, kind):
     (case,) = mach_cases(empty_share=empty(share))
     assert case.facts == {"sensor": "mach", "kind": kind, "since": 30, "share": pytest.approx(share)}
     (still,) = mach_cases(still=FLIGHT >= 30)
@@ -71,7 +71,7 @@ def checks(**columns: object) -> dict[str, object]:
 LATE = FLIGHT >= 50
 
 
-def test_a_shifted_sensor_is_named_with_what_moved_since_when_and_starts_anew_once_repaired():
+def test_shifted_sensor_is_described():
     (case,) = mach_cases(**checks(w_inlet_minus_tat_k=2.0 * LATE))
     assert (case.diagnosis, case.facts["sensor"], case.facts["whose"]) == ("SENSOR_FAULT", "cc_in_k", "own")
     assert case.facts["channel"] == "inlet_minus_tat_k"
@@ -83,7 +83,7 @@ def test_a_shifted_sensor_is_named_with_what_moved_since_when_and_starts_anew_on
     assert cases == []
 
 
-def test_a_shift_that_only_echoes_a_silence_is_no_news():
+def test_shift_echoing_silence_is_dropped():
     silent = {"cc_in_k_lost_share": np.where((FLIGHT >= 55) & (FLIGHT < 60), 0.9, 0.0)}
     shifted = checks(w_inlet_minus_tat_k=2.0 * LATE)
     names = [case.facts["kind"] for case in mach_cases(**shifted, **silent)]
@@ -93,8 +93,9 @@ def test_a_shift_that_only_echoes_a_silence_is_no_news():
 
 
 @pytest.mark.parametrize(("gap_k", "doubtful"), [(2.6, True), (2.4, False)])
-def test_outlets_that_differ_by_more_than_two_and_a_half_deviations_twice_of_three(gap_k, doubtful):
+def test_differing_outlets_are_doubtful(gap_k, doubtful):
     # twenty flights of .8 K and forty-nine of none, about an offset of fifty flights
+    """Apart by more than 2.5 deviations on two flights of three."""
     sd = 0.8 * np.sqrt(20.0 / 69.0 * (1.0 + 1.0 / 50.0))
     gap = np.zeros(FLIGHTS)
     gap[[50, 52]] = gap_k * sd, 1.15 * gap_k * sd
@@ -110,7 +111,7 @@ def both(of_second: dict[str, object], **first: object) -> Grid:
     return Grid.from_frame(pl.concat([one, two], how="diagonal"))
 
 
-def test_a_probe_that_both_packs_record_is_a_case_of_both_and_another_of_one():
+def test_common_probe_is_case_of_both():
     columns = {"running": True, "n_snapshots": 40}
     shifted = checks(w_inlet_minus_tat_k=-2.0 * LATE) | columns
     shifted |= {"w_hx_out_minus_target_k": -1.2 * LATE}
@@ -124,7 +125,7 @@ def test_a_probe_that_both_packs_record_is_a_case_of_both_and_another_of_one():
     assert (case.unit, case.facts["sensor"]) == (0, "pack_flow_kg_s")
 
 
-def test_flow_that_changes_on_both_packs_is_one_cause():
+def test_common_flow_change_is_one_cause():
     flow = checks(w_pack_over_compressor_flow_ln=0.08 * LATE, w_cc_out_pressure_over_schedule_ln=-0.02 * LATE)
     columns = flow | {"running": True, "n_snapshots": 40}
     none = np.zeros((2, FLIGHTS), dtype=bool)
@@ -147,7 +148,7 @@ def case(raised: int, closed: int | None = None, unit: int = 0, sensor: str = "m
         (case(50, unit=1), False),
     ],
 )  # fmt: skip
-def test_a_shift_within_twelve_flights_of_a_silence_is_its_echo(shift: Case, echo: bool) -> None:
+def test_echo_is_within_twelve_flights(shift: Case, echo: bool) -> None:
     assert disturbances._repeats(shift, [case(50, 50)]) is echo
     assert disturbances._repeats(case(90), [case(50)])
 
@@ -160,7 +161,7 @@ def one_each(*cases: Case) -> list[tuple[int, str, int, int | None]]:
     return [(c.unit, c.facts["sensor"], c.raised_flight, c.closed_flight) for c in merged]
 
 
-def test_of_two_names_within_twelve_flights_the_surer_stands_and_the_same_one_carries_its_case_on() -> None:
+def test_surer_name_stands_within_twelve_flights() -> None:
     assert one_each(case(62, sensor="tat_k"), case(50)) == [(0, "mach", 50, None)]
     assert one_each(case(63, sensor="tat_k"), case(50)) == [(0, "mach", 50, None), (0, "tat_k", 63, None)]
     assert one_each(case(50, p=0.96), case(50, sensor="tat_k", p=0.97)) == [(0, "tat_k", 50, None)]
@@ -185,7 +186,7 @@ def test_of_two_names_within_twelve_flights_the_surer_stands_and_the_same_one_ca
         ("RAM_DOOR", "hx_out_minus_target_k", True), ("RAM_DOOR", "inlet_minus_tat_k", False),
     ],
 )  # fmt: skip
-def test_what_is_another_units_starts_anew_with_it(monkeypatch, component: str, column: str, hushed: bool) -> None:
+def test_work_restarts_checks_of_unit(monkeypatch, component: str, column: str, hushed: bool) -> None:
     calls = []
     monkeypatch.setattr(disturbances, "watch", lambda values, sd, new: calls.append(new) or watch(values, sd, new))
     mach_cases(work_before(50, component), **checks())
@@ -193,7 +194,7 @@ def test_what_is_another_units_starts_anew_with_it(monkeypatch, component: str, 
     assert new.nonzero()[0].tolist() == [50] * hushed
 
 
-def test_doors_and_silent_sensors_are_no_evidence(monkeypatch) -> None:
+def test_faulty_flights_are_no_evidence(monkeypatch) -> None:
     calls = []
     monkeypatch.setattr(disturbances, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
     columns = checks() | {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40}
@@ -212,7 +213,8 @@ def test_doors_and_silent_sensors_are_no_evidence(monkeypatch) -> None:
         assert np.isnan(calls[0][0, :, k]).tolist() == (first <= FLIGHT).tolist(), check.name
 
 
-def test_a_silent_sensor_of_the_other_pack_hushes_the_checks_between_them_alone(monkeypatch) -> None:
+def test_other_packs_silence_hushes_comparison(monkeypatch) -> None:
+    """It hushes the check between the packs and no other."""
     calls = []
     monkeypatch.setattr(disturbances, "watch", lambda values, sd, new: calls.append(values) or watch(values, sd, new))
     columns = {f"w_{c.name}": 0.0 for c in CHANNELS} | {"running": True, "n_snapshots": 40, "tat_k_lost_share": 0.0}
@@ -247,20 +249,21 @@ def door_spans(columns: dict, log=NOTHING) -> list[tuple[str, int, int | None]]:
         ({"door_max": 0.1601}, True), ({"door_max": 0.95}, False), ({"door_max": 0.949}, True),
     ],
 )  # fmt: skip
-def test_a_jam_stays_where_it_is_away_from_its_stops(changed, jammed):
+def test_jam_is_away_from_stops(changed, jammed):
     stop = {"door_span": np.where(FLIGHT < 5, changed["door_max"] - 0.1, 0.02)} if "door_max" in changed else {}
     assert door_spans(JAM | changed | stop) == ([(6, None)] if jammed else [])
 
 
 @pytest.mark.parametrize(("above_k", "jammed"), [(6.1, True), (5.9, False)])
-def test_near_its_stop_a_door_is_jammed_where_the_outlet_runs_warmer_than_usual(above_k, jammed):
+def test_warm_outlet_marks_jam_at_stop(above_k, jammed):
+    """Warmer than usual by six kelvin."""
     above = np.where(FLIGHT < 30, 1.0, 1.0 + above_k)
     resting = {"door_max": 0.12, "door_span": 0.02, "w_hx_out_minus_target_k": above}
     cases = door_spans(JAM | resting)
     assert cases[:1] == ([(31, 53)] if jammed else [])  # with twenty of the last forty it is usual
 
 
-def test_what_is_usual_wants_five_flights_and_two_of_three_make_a_jam_that_four_without_end():
+def test_jam_needs_two_of_three_flights():
     resting = {"door_max": 0.12, "door_span": 0.02}
     for first, jammed in ((5, True), (4, False)):
         above = np.where(first > FLIGHT, 0.0, np.where(first + 2 > FLIGHT, 7.0, 0.0))
@@ -281,26 +284,27 @@ def test_what_is_usual_wants_five_flights_and_two_of_three_make_a_jam_that_four_
         ({"door_max": 0.4, "door_span": 0.149}, False), ({"door_max": 0.4, "door_span": 0.151}, True),
     ],
 )  # fmt: skip
-def test_lost_travel_is_a_warm_outlet_at_the_widest_opening_twice(changed, is_lost_travel):
+def test_lost_travel_needs_warm_outlet_twice(changed, is_lost_travel):
     assert door_spans(PEG | changed) == ([(40, None)] if is_lost_travel else [])
 
 
 @pytest.mark.parametrize(
     ("second", "apart", "is_lost_travel"), [(70, 0.0, True), (71, 0.0, False), (40, 0.029, True), (40, 0.031, False)]
 )
-def test_the_same_stop_within_40_flights_and_3_hundredths(second, apart, is_lost_travel):
+def test_lost_travel_repeats_at_same_stop(second, apart, is_lost_travel):
+    """Within forty flights and three hundredths of the door's travel."""
     hits = {"door_peg_excess_k": np.where((FLIGHT == 30) | (second == FLIGHT), 2.0, 0.0)}
     widest = np.where(FLIGHT < 35, 0.4, 0.4 + apart)
     assert [case[0] for case in door_spans(PEG | hits | {"door_max": widest})] == ([second] if is_lost_travel else [])
 
 
 @pytest.mark.parametrize(("excess_k", "n", "first"), [(3.01, 3, 30), (2.99, 3, 40), (3.01, 2, 40)])
-def test_beyond_doubt_one_flight_is_enough(excess_k, n, first):
+def test_large_excess_needs_one_flight(excess_k, n, first):
     hits = {"door_peg_excess_k": np.where((FLIGHT == 30) | (FLIGHT == 40), excess_k, 0.0), "door_peg_n": n}
     assert [case[0] for case in door_spans(PEG | hits)] == [first]
 
 
-def test_a_door_that_goes_wider_has_no_stop_and_a_case_says_where_since_when_and_by_how_much():
+def test_wider_door_ends_lost_travel():
     for wider, end in ((0.459, None), (0.461, 60)):
         assert door_spans(PEG | {"door_max": np.where(FLIGHT < 60, 0.4, wider)}) == [(40, end)]
     assert door_spans(PEG, work_before(50, "RAM_DOOR", "ADJUSTED")) == [(40, 50)]

@@ -22,7 +22,7 @@ def fouling(loss: object, log: pl.DataFrame = NOTHING, sick: object = False, pla
     return hx_cases(grid(**columns), log, Limits(), flags, plan)
 
 
-def test_odds_are_those_of_a_normal_estimate_against_the_limits_in_service():
+def test_odds_are_of_normal_estimate():
     odds = odds_above(np.array([0.16, 0.15, np.nan]), np.array([0.01, 0.02, 0.01]), 0.15)
     assert odds.tolist() == pytest.approx([norm.cdf(1.0), 0.5, 0.0])
     odds = odds_above(np.array([0.16, 0.1]), np.array([np.nan, 0.0]), 0.15)
@@ -39,7 +39,7 @@ def limit_at(limit: float, odds: float) -> float:
 
 
 @pytest.mark.parametrize(("loss", "raised"), [(limit_at(0.15, 0.701), True), (limit_at(0.15, 0.699), False)])
-def test_fouling_is_above_15_per_cent_with_probability_7_of_10(loss, raised):
+def test_fouling_needs_seventy_percent(loss, raised):
     assert spans(fouling(loss)) == ([("HX_FOULING", 2, None)] if raised else [])
 
 
@@ -47,18 +47,19 @@ def test_fouling_is_above_15_per_cent_with_probability_7_of_10(loss, raised):
     ("pattern", "first"),
     [("1110", 32), ("1011", 33), ("1101", 33), ("0111", 33), ("10101", None), ("11001", None), ("1100011", None)],
 )
-def test_three_flights_of_four_say_so(pattern, first):
+def test_fouling_needs_three_flights_of_four(pattern, first):
     loss = np.full(N, 0.05)
     loss[30 : 30 + len(pattern)] = [0.2 if c == "1" else 0.05 for c in pattern]
     assert [case.raised_flight for case in fouling(loss)] == ([first] if first else [])
 
 
 @pytest.mark.parametrize(("after", "ends"), [(0.066, False), (0.75 * 0.09, False), (0.069, True)])
-def test_a_case_is_held_for_15_flights_below_three_quarters_of_the_soon_limit(after, ends):
+def test_fouling_ends_below_soon_limit(after, ends):
+    """Fifteen flights below three quarters of the limit for a loss that grows fast."""
     assert spans(fouling(np.where(FLIGHT < 40, 0.2, after))) == [("HX_FOULING", 2, None if ends else 54)]
 
 
-def test_a_new_unit_is_believed_after_five_flights_and_a_case_tells_since_when_it_is_worn():
+def test_new_unit_waits_five_flights():
     assert spans(fouling(0.2, work_before(30))) == [("HX_FOULING", 2, 30), ("HX_FOULING", 38, None)]
     assert spans(fouling(0.2, work_before(30, action="CLEANED"))) == [("HX_FOULING", 2, 30), ("HX_FOULING", 38, None)]
     assert spans(fouling(0.2, work_before(30, "CC"))) == [("HX_FOULING", 2, None)]
@@ -69,30 +70,32 @@ def test_a_new_unit_is_believed_after_five_flights_and_a_case_tells_since_when_i
 
 
 @pytest.mark.parametrize(("loss", "raised"), [(0.269, 43), (0.271, 22)])
-def test_wear_waits_15_flights_after_a_doubt_unless_it_is_12_points_past_its_limit(loss, raised):
+def test_doubt_delays_wear(loss, raised):
+    """By fifteen flights, unless the loss is twelve points past its limit."""
     sick = (FLIGHT >= 20) & (FLIGHT <= 25)
     assert [case.raised_flight for case in fouling(np.where(FLIGHT < 20, 0.0, loss), sick=sick)] == [raised]
 
 
 @pytest.mark.parametrize(("step", "raised"), [(-0.099, 2), (-0.101, None)])
-def test_a_track_that_just_recovered_is_not_believed(step, raised):
+def test_recovered_track_raises_nothing(step, raised):
     assert [case.raised_flight for case in fouling(0.2, hx_fouling_step_3=step)] == ([] if raised is None else [raised])
 
 
 @pytest.mark.parametrize(
     ("planned", "loss", "raised"), [(False, 0.18, 1), (True, 0.18, 0), (True, 0.206, 1), (True, 0.204, 0)]
 )
-def test_what_is_planned_already_waits_for_five_points_more(planned, loss, raised):
+def test_planned_unit_waits_five_points(planned, loss, raised):
     assert len(fouling(loss, planned=planned)) == raised
 
 
 @pytest.mark.parametrize(("rise", "raised"), [(0.181, 56), (0.179, None)])
-def test_ten_flights_alone_above_the_units_best_ten(rise, raised):
+def test_rise_over_best_flights_is_wear(rise, raised):
+    """Medians of ten flights, each estimated alone."""
     alone = np.where(FLIGHT < 50, 0.05, 0.05 + rise)
     assert [case.raised_flight for case in fouling(0.0, hx_fouling_flight=alone)] == ([raised + 1] if raised else [])
 
 
-def test_what_a_unit_has_risen_by_is_its_median_of_ten_less_the_lowest_without_flights_in_doubt():
+def test_loss_rise_is_above_lowest_median():
     alone = np.random.default_rng(0).normal(0.1, 0.02, (1, 60))
     alone[0, 20:25] = np.nan
     ended = FLIGHT[None, :60] == 40
@@ -116,7 +119,8 @@ def test_what_a_unit_has_risen_by_is_its_median_of_ten_less_the_lowest_without_f
         (limit_at(0.09, 0.81), 101.0, None, False), (limit_at(0.09, 0.81), 99.0, 0.1, False),
     ],
 )  # fmt: skip
-def test_a_smaller_loss_counts_where_it_grows_fast_and_the_margin_is_not_known(loss, flights, passage, raised):
+def test_fast_growing_loss_counts_early(loss, flights, passage, raised):
+    """It would fail within a hundred flights, and its margin is not known."""
     slope = (FAILS_AT - loss) / flights
     trends = {"hx_fouling_slope_30_per_flight": 1.5 * slope, "hx_fouling_slope_100_per_flight": 0.5 * slope}
     cases = fouling(loss, hx_passage_300=np.nan if passage is None else passage, **trends)
@@ -136,7 +140,7 @@ STEP = np.where((FLIGHT >= 50) & (FLIGHT < 53), 0.101, 0.0)
         ({"hx_fouling_step_3": STEP - 0.0599 * (FLIGHT == 30)}, True),
     ],
 )  # fmt: skip
-def test_a_clog_comes_at_once_with_less_ram_flow_and_no_recovery_before(columns, raised):
+def test_clog_needs_ram_flow_loss(columns, raised):
     cases = fouling(**({"loss": 0.14, "hx_fouling_step_3": STEP} | columns))
     assert spans(cases) == ([("HX_SUDDEN_CLOG", 50, None)] if raised else [])
     if raised:
@@ -146,7 +150,8 @@ def test_a_clog_comes_at_once_with_less_ram_flow_and_no_recovery_before(columns,
 @pytest.mark.parametrize(
     ("fell", "log", "raised"), [(0, NOTHING, True), (1, NOTHING, False), (10, work_before(20), True)]
 )
-def test_a_return_within_90_flights_of_a_recovery_is_no_clog(fell, log, raised):
+def test_return_after_recovery_is_no_clog(fell, log, raised):
+    """Within ninety flights of it."""
     late = np.where(FLIGHT == 90, 0.101, np.where(fell == FLIGHT, -0.07, 0.0))
     assert bool(fouling(0.14, log, hx_fouling_step_3=late)) is raised
 
@@ -154,30 +159,31 @@ def test_a_return_within_90_flights_of_a_recovery_is_no_clog(fell, log, raised):
 @pytest.mark.parametrize(
     ("component", "flight", "raised"), [("RAM_DOOR", 35, 0), ("SENSOR", 35, 0), ("RAM_DOOR", 34, 1)]
 )
-def test_a_repair_of_door_or_sensor_explains_a_step_for_15_flights(component, flight, raised):
+def test_repair_explains_step(component, flight, raised):
     step = np.where(FLIGHT == 50, 0.2, 0.0)
     assert len(fouling(0.14, work_before(flight, component), hx_fouling_step_3=step)) == raised
 
 
 @pytest.mark.parametrize(("rise", "names"), [(88, ["HX_SUDDEN_CLOG"]), (89, ["HX_SUDDEN_CLOG", "HX_FOULING"])])
-def test_a_jump_and_the_loss_it_leads_to_within_40_flights_are_one_case(rise, names):
+def test_jump_joins_its_loss(rise, names):
+    """Within forty flights they are one case."""
     cases = fouling(np.where(rise > FLIGHT, 0.14, 0.2), hx_fouling_step_3=np.where(FLIGHT == 50, 0.2, 0.0))
     assert [case.diagnosis for case in cases] == names
 
 
 @pytest.mark.parametrize(("after", "closed"), [(0.071, None), (0.069, 80)])
-def test_a_clog_ends_at_half_its_loss(after, closed):
+def test_clog_ends_at_half_loss(after, closed):
     cases = fouling(np.where(FLIGHT < 60, 0.14, after), hx_fouling_step_3=np.where(FLIGHT == 50, 0.2, 0.0))
     assert spans(cases) == [("HX_SUDDEN_CLOG", 50, closed)]
 
 
 @pytest.mark.parametrize(("last", "closed"), [(98, None), (85, 95)])
-def test_little_margin_stays_while_loss_has_grown(last, closed):
+def test_low_margin_stays_while_loss_grows(last, closed):
     loss = np.where((FLIGHT >= 50) & (last >= FLIGHT), 0.1301, 0.1)
     assert spans(low(np.where(FLIGHT < 40, 0.95, 0.0), loss)) == [("HX_LOW_MARGIN", 3, closed)]
 
 
-def test_a_wavering_diameter_is_one_case():
+def test_wavering_diameter_is_one_case():
     wavering = np.where(FLIGHT % 12 < 6, 0.965, 0.985)
     rows = grid(cc_effective_diameter_m=0.16 * np.where(FLIGHT < 40, 1.0, wavering), running=True)
     assert spans(cc_cases(rows, NOTHING, Limits(), np.zeros((1, N), bool))) == [("CC_DEGRADED", 51, None)]
@@ -186,12 +192,13 @@ def test_a_wavering_diameter_is_one_case():
 @pytest.mark.parametrize(
     ("loss", "sd", "raised"), [(0.0601, 0.001, 4), (0.0599, 0.001, None), (0.0629, 0.01, 4), (0.0627, 0.01, None)]
 )
-def test_a_compressor_has_lost_6_per_cent_and_5_with_probability_9_of_10(loss, sd, raised):
+def test_compressor_limit_is_six_percent(loss, sd, raised):
+    """And five per cent with a probability of 0.9."""
     cases = cc_cases(grid(cc_efficiency_loss=loss, cc_efficiency_loss_sd=sd), NOTHING, Limits(), np.zeros((1, N), bool))
     assert [case.raised_flight for case in cases] == ([] if raised is None else [raised - 1])
 
 
-def test_a_compressors_case_is_held_for_20_flights_and_ends_with_it():
+def test_compressor_case_persists_twenty_flights():
     none = np.zeros((1, N), bool)
     for after, closed in ((0.0349, 59), (0.7 * 0.05, 59), (0.0351, None)):
         worn = grid(cc_efficiency_loss=np.where(FLIGHT < 40, 0.08, after), cc_efficiency_loss_sd=0.005)
@@ -211,7 +218,7 @@ def shrunk(by: float, doubtful: bool = False, **more: object) -> list[Case]:
     return cc_cases(rows, NOTHING, Limits(), np.full((1, N), doubtful))
 
 
-def test_a_smaller_diameter_is_a_case_where_no_efficiency_is_known():
+def test_smaller_diameter_is_a_case():
     # 6 % are 5.5 of half the expected 2.2 %: 4.5 a flight at most, less .75, pass 8 with the third flight; the smoothed
     # departure passes -2.5 % with the third, too
     (case,) = shrunk(0.06)
@@ -232,11 +239,12 @@ def low(passage: object = 0.91, loss: object = 0.1, log: pl.DataFrame = NOTHING,
 @pytest.mark.parametrize(
     ("passage", "loss", "raised"), [(0.901, 0.1, 1), (0.9, 0.1, 0), (0.91, 0.15, 1), (0.91, 0.151, 0)]
 )
-def test_little_margin_is_a_message_within_300_flights_at_9_of_10_that_wear_does_not_explain(passage, loss, raised):
+def test_low_margin_needs_ninety_percent(passage, loss, raised):
+    """A message within 300 flights with that probability, which wear does not explain."""
     assert spans(low(passage, loss)) == [("HX_LOW_MARGIN", 3, None)] * raised
 
 
-def test_little_margin_on_four_flights_of_five_is_held_for_20_of_that_unit():
+def test_low_margin_persists_twenty_flights():
     assert spans(low(np.where(FLIGHT % 5 == 1, 0.8, 0.95))) == [("HX_LOW_MARGIN", 4, None)]
     assert low(np.where(FLIGHT % 2 == 1, 0.8, 0.95)) == []
     for after, closed in ((0.539, 59), (0.6 * 0.9, 59), (0.541, None)):
@@ -248,7 +256,7 @@ def test_little_margin_on_four_flights_of_five_is_held_for_20_of_that_unit():
     assert low()[0].facts["since"] == 0
 
 
-def test_a_jump_of_the_unit_before_or_after_the_loss_is_a_case_of_its_own():
+def test_unrelated_jump_is_own_case():
     jump = np.where(FLIGHT == 50, 0.2, 0.0)
     names = [("HX_SUDDEN_CLOG", 50, 60), ("HX_FOULING", 68, None)]
     assert spans(fouling(np.where(FLIGHT < 61, 0.14, 0.2), work_before(60), hx_fouling_step_3=jump)) == names
@@ -261,7 +269,7 @@ def test_a_jump_of_the_unit_before_or_after_the_loss_is_a_case_of_its_own():
 
 
 @pytest.mark.parametrize(("shrinks", "grows"), [(25, 60), (21, 60), (15, 99)])
-def test_a_diameter_is_watched_from_its_twentieth_flight_on(shrinks, grows):
+def test_diameter_watch_starts_after_twenty_flights(shrinks, grows):
     """Three quarters of a deviation of 2.2 % are no news; a sum of 8 calls, of 1 ends; the level is never forgotten."""
     diameter = 0.16 * np.where((shrinks <= FLIGHT) & (grows > FLIGHT), 0.93, 1.0)
     settings = Cusum(slack=0.75, decide=8.0, clear=1.0, ceiling=14.0, clip=4.5, learn_flights=20, memory_flights=10**6)
@@ -276,7 +284,7 @@ def test_a_diameter_is_watched_from_its_twentieth_flight_on(shrinks, grows):
     assert cc_cases(still, NOTHING, Limits(), np.zeros((1, N), bool)) == []
 
 
-def test_shares_and_persistence_in_service():
+def test_limits_are_as_declared():
     limits = Limits()
     assert (limits.fouling_keep, limits.passage_keep, limits.compressor_excess, limits.compressor_keep) == (
         0.75, 0.6, 1.2, 0.7,

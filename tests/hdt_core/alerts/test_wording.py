@@ -29,7 +29,7 @@ def text(rule, **changed: object) -> str:
     return rule(of(ExchangerFacts, WORN | changed), "F07").text()
 
 
-def test_fouling_in_figures():
+def test_fouling_evidence_states_figures():
     message = text(wording.exchanger)
     # 90 % interval: 1.645 deviations on either side
     assert "(hx_fouling) 25 % (22 to 28), 12 times its uncertainty; above 5 % since F07, and with" in message
@@ -58,12 +58,12 @@ def test_fouling_in_figures():
         ({"ram_flow_loss": 0.04}, "Neutral", "no blockage"),
     ],
 )
-def test_each_witness_at_its_edge(changed, role, words):
+def test_witness_role_changes_at_edge(changed, role, words):
     witnesses = wording.exchanger(of(ExchangerFacts, WORN | changed), "F07").corroborations
     assert [w.role for w in witnesses if words in w.text] == [role]
 
 
-def test_packs_alike_have_no_word_on_the_door_and_chances_are_in_figures():
+def test_similar_packs_omit_door_comparison():
     for changed in ({"hx_fouling_between_packs": 0.05}, {"door_median_between_packs": NAN}):
         message = wording.exchanger(of(ExchangerFacts, WORN | changed), "F").text()
         assert "wider" not in message
@@ -80,7 +80,7 @@ def test_packs_alike_have_no_word_on_the_door_and_chances_are_in_figures():
     assert np.isclose(float(wording.chance_above(0.1, 0.15, 0.05)), norm.cdf(-1.0), atol=0.005)
 
 
-def test_severities_at_their_edges():
+def test_severity_changes_at_edge():
     few = (FAILS_AT - 0.2) / 49.0
     base = {"hx_fouling": 0.2, "hx_fouling_slope_30_per_flight": 0.0}
     for changed, severity in (
@@ -106,7 +106,7 @@ def test_severities_at_their_edges():
     assert [wording.sensor_severity(of(SensorFacts, k)) for k in kinds] == ["medium", "low", "medium"]
 
 
-def test_little_margin_in_figures():
+def test_low_margin_evidence_states_figures():
     facts = WORN | {
         "hx_margin_k": -2.4, "hx_margin_hot_day_k": 3.6, "hx_passage_300": 0.93, "hx_margin_design_k": 6.4,
         "hx_margin_target_k": NAN, "hx_margin_flow_k": -1.6, "hx_margin_ambient_k": -8.0, "hx_margin_wear_k": 0.0,
@@ -124,7 +124,7 @@ def test_little_margin_in_figures():
     assert "0 K below" in wording.low_margin(of(MarginFacts, facts | {"hx_margin_k": 0.0}), "F07").text()
 
 
-def test_a_compressor_in_figures():
+def test_compressor_evidence_states_figures():
     facts = {
         "cc_efficiency_loss": 0.082, "cc_efficiency_loss_sd": 0.01, "shrunk": -0.044, "cc_diameter_loss": 0.0206,
         "cc_diameter_left": 0.034, "cc_diameter_left_hot_high": -0.026,
@@ -156,7 +156,7 @@ def test_a_compressor_in_figures():
 
 
 @pytest.mark.parametrize(("whose", "is_held_back"), [("own", False), ("both", True)])
-def test_change_on_both_packs_sends_to_the_map(whose, is_held_back):
+def test_common_change_points_to_map(whose, is_held_back):
     facts = {"kind": "shift", "sensor": "pack_flow_kg_s", "whose": whose}
 
     assert (
@@ -164,7 +164,7 @@ def test_change_on_both_packs_sends_to_the_map(whose, is_held_back):
     ) == is_held_back
 
 
-def test_doors_and_sensors_in_figures():
+def test_door_evidence_states_figures():
     door = wording.door(of(DoorFacts, {"kind": "lost travel", "stop": 0.42, "excess_k": 2.0}), "F07").text()
     assert "no further than 42 %: since F07 the outlet ran up to 2.0 K (6 times the scatter" in door
     assert "stays at 42 %" in wording.door(of(DoorFacts, {"kind": "jam", "stop": 0.42}), "F07").text()
