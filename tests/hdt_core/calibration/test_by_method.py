@@ -55,7 +55,7 @@ def default(few, model) -> pl.DataFrame:
 @pytest.mark.usefixtures("stranger")
 @pytest.mark.parametrize("column", VALUES)
 @pytest.mark.parametrize("method", METHODS)
-def test_flight_lies_near_the_default(few, model, default, method, column):
+def test_flight_lies_near_default(few, model, default, method, column):
     flights = estimate_flights(few, model, by(method)).sort(IN_ORDER)
 
     sd = np.hypot(flights[VALUES[column]], default[VALUES[column]])
@@ -83,7 +83,7 @@ def test_nls_is_the_closed_form(few, model, default):
         (Lost("converged", mean=np.inf), "diverged"),
     ],
 )
-def test_method_without_an_answer_says_so(few, model, package, lost, status):
+def test_failed_method_states_status(few, model, package, lost, status):
     package(lost)
 
     flights = estimate_flights(few, model, by(NAME))
@@ -92,7 +92,7 @@ def test_method_without_an_answer_says_so(few, model, package, lost, status):
     assert flights.select(*VALUES, *VALUES.values()).null_count().row(0) == (flights.height,) * 6
 
 
-def test_flights_without_an_answer_are_predicted(few, model, nothing_done, package):
+def test_failed_flights_are_predicted(few, model, nothing_done, package):
     package(Lost("diverged"))
 
     health = track(estimate_flights(few, model, by(NAME)), nothing_done, model, parts=by(NAME)).health
@@ -100,7 +100,7 @@ def test_flights_without_an_answer_are_predicted(few, model, nothing_done, packa
     assert health.filter(parameter="hx_fouling")["status"].unique().to_list() == ["predicted"]
 
 
-def test_diameter_without_an_answer_says_why(few, model, nothing_done, package):
+def test_failed_diameter_states_status(few, model, nothing_done, package):
     package(Lost("diverged"))
 
     health = track(estimate_flights(few, model, by(NAME)), nothing_done, model, parts=by(NAME)).health
@@ -108,7 +108,7 @@ def test_diameter_without_an_answer_says_why(few, model, nothing_done, package):
     assert health.filter(parameter="cc_effective_diameter_m")["status"].unique().to_list() == ["diverged"]
 
 
-def test_diameter_of_a_method_has_its_deviation(few, model, nothing_done):
+def test_diameter_has_methods_deviation(few, model, nothing_done):
     flights = estimate_flights(few, model, by("ekf")).sort(IN_ORDER)
 
     rows = track(flights, nothing_done, model, parts=by("ekf")).health.filter(parameter="cc_effective_diameter_m")
@@ -117,7 +117,7 @@ def test_diameter_of_a_method_has_its_deviation(few, model, nothing_done):
     np.testing.assert_allclose(rows.sort(IN_ORDER)["sd"], expected)
 
 
-def test_diffuser_that_is_not_recorded_leaves_diameter(few, model):
+def test_unrecorded_diffuser_leaves_diameter(few, model):
     blind = few.with_columns(vda_counts=pl.lit(None, pl.Float64))
 
     flights = estimate_flights(blind, model, by("ekf"))
@@ -126,7 +126,7 @@ def test_diffuser_that_is_not_recorded_leaves_diameter(few, model):
     np.testing.assert_allclose(flights["diameter_m"], usual["diameter_m"], rtol=0.03)
 
 
-def test_exit_temperature_that_is_not_recorded_costs_efficiency(few, model):
+def test_unrecorded_exit_temperature_costs_efficiency(few, model):
     flights = estimate_flights(few.with_columns(cc_out_k=pl.lit(None, pl.Float64)), model, by("ekf"))
 
     assert flights["efficiency"].null_count() == flights.height
@@ -162,7 +162,7 @@ def calibrated(two) -> Callable[[str], Dsm]:
 
 @pytest.mark.usefixtures("stranger")
 @pytest.mark.parametrize("method", METHODS)
-def test_design_lies_near_the_default(usual, calibrated, method):
+def test_design_lies_near_default(usual, calibrated, method):
     dsm = calibrated(method)
 
     sd = np.sqrt(np.diag(usual.exchanger_cov))
@@ -180,7 +180,7 @@ def test_design_names_its_method(calibrated):
     assert (made_by["hx_exponent_hot"], made_by["cc_efficiency"]) == (NAME, f"{NAME}, pooled")
 
 
-def test_design_without_an_answer_is_the_default(two, usual, calibrated, package):
+def test_failed_design_is_the_default(two, usual, calibrated, package):
     package(Lost("diverged"))
 
     dsm = calibrated(NAME)
@@ -190,11 +190,11 @@ def test_design_without_an_answer_is_the_default(two, usual, calibrated, package
 
 
 @pytest.mark.usefixtures("stranger")
-def test_models_of_two_methods_have_two_versions(usual, calibrated):
+def test_methods_have_different_versions(usual, calibrated):
     assert calibrated(NAME).dsm_version != usual.dsm_version
 
 
-def test_model_of_before_is_read(usual):
+def test_model_without_method_is_read(usual):
     stored = usual.to_dict()
     del stored["exchanger_method"], stored["compressor"]["method"]
 

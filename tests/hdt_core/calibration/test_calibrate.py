@@ -30,7 +30,8 @@ def law(design: np.ndarray, at: dict[str, np.ndarray], ram: np.ndarray) -> np.nd
     return ln_clean_conductance(at, ram, design)
 
 
-def test_conductance_law_is_within_two_per_cent_over_the_envelope(fleet, model):
+def test_recovers_conductance_law(fleet, model):
+    """Within two per cent over the envelope."""
     at = points_of(fleet)
     ram = clean_ram_flow_kg_s(at, fleet.design)
     error = law(model.design, at, ram) + model.clean_level - law(fleet.design, at, ram)
@@ -38,7 +39,7 @@ def test_conductance_law_is_within_two_per_cent_over_the_envelope(fleet, model):
     assert abs(error.mean()) < 0.04  # five tails: biases of five probes set the level
 
 
-def test_elasticities_are_slopes_of_the_law_within_003_and_intervals_hold(fleet, model):
+def test_recovers_flow_elasticities(fleet, model):
     estimate, sd = elasticities(model)
     true = flow_elasticities(fleet.design, *model.cruise_flows_kg_s)
     assert np.abs(estimate - true).max() < 0.03
@@ -55,7 +56,7 @@ def test_elasticities_are_slopes_of_the_law_within_003_and_intervals_hold(fleet,
     assert (np.abs(z) < 1.645).mean() >= 0.75
 
 
-def test_wear_in_the_baseline_is_not_learned_as_design(fleet, flights):
+def test_baseline_wear_is_not_design(fleet, flights):
     """Left packs lose up to 5 per mille a flight inside the window; their health says so, not the law."""
     joined = flights.join(fleet.truth, on=["tail", "flight_id", "pack"]).drop_nulls("ln_ua_ratio")
     within = [pl.col(c) - pl.col(c).mean().over("tail", "pack") for c in ("ln_ua_ratio",)]
@@ -68,7 +69,7 @@ def test_wear_in_the_baseline_is_not_learned_as_design(fleet, flights):
     assert (slope[:, 0] @ slope[:, 1]) / (slope[:, 1] @ slope[:, 1]) == pytest.approx(1.0, abs=0.06)
 
 
-def test_drift_audit_names_the_packs_that_wore(fleet, model, flights):
+def test_drift_audit_names_worn_packs(fleet, model, flights):
     audit = audit_drift(flights, fleet.maintenance, model)
     worn = audit.filter(pl.col("pack") == 1).sort("tail")
     assert worn["drifts"].all()
@@ -78,7 +79,7 @@ def test_drift_audit_names_the_packs_that_wore(fleet, model, flights):
     np.testing.assert_allclose(-worn["unlearned"].to_numpy()[:3], expected, atol=0.03)
 
 
-def test_later_flights_and_the_order_of_rows_change_nothing(fleet):
+def test_later_flights_change_nothing(fleet):
     small = fleet.only("T-00")
     ids = small.samples["flight_id"].unique().sort()
     first = ids[: MILESTONES[2]].implode()
@@ -95,7 +96,7 @@ def test_later_flights_and_the_order_of_rows_change_nothing(fleet):
     assert calibrate(warmer, small.legs, small.maintenance).dsm_version != here.dsm_version
 
 
-def test_a_baseline_grows_by_milestones_with_levels_by_operator_and_pack():
+def test_baseline_grows_by_milestones():
     flights = pl.DataFrame({"flight_id": [f"F{k:04d}" for k in range(400)], "departed_at": range(400)})
     named = flights.with_columns(operator=pl.lit("A"), tail=pl.lit("T"))
     lengths = [len(baseline_flights(named.head(n))) for n in (3, 12, 25, 79, 80, 159, 160, 400)]
@@ -112,7 +113,7 @@ def test_a_baseline_grows_by_milestones_with_levels_by_operator_and_pack():
     assert row("bias_pack_flow_kg_s", dsm)["unit"] == row("bias_ram_door_open", dsm)["unit"] == "-"
 
 
-def test_tail_of_ten_flights_borrows_from_its_fleet(fleet):
+def test_young_tail_borrows_from_fleet(fleet):
     young = fleet.samples.filter((pl.col("tail") != "T-04") | (pl.col("flight_id") <= "T-04_20240110_01"))
     legs = fleet.legs.join(young.select(FLIGHT_PACK).unique(), on=FLIGHT_PACK, how="semi")
     dsm = calibrate(young, legs, fleet.maintenance)
@@ -125,7 +126,7 @@ def test_tail_of_ten_flights_borrows_from_its_fleet(fleet):
     assert (own["sd"] < 1.6 * whole["sd"].item()).all()
 
 
-def test_the_table_honours_its_declaration_and_the_model_survives_json(model):
+def test_design_table_is_as_declared(model):
     rows = design_parameters(model)
     assert CalibrationDesign.faults(rows) == []
     assert set(rows["scope"]) == {"fleet", "operator", "tail"}
@@ -138,14 +139,14 @@ def test_the_table_honours_its_declaration_and_the_model_survives_json(model):
     assert Dsm.from_dict(json.loads(json.dumps(model.to_dict()))) == model
 
 
-def test_how_the_estimate_ended_is_kept(fleet, model, monkeypatch):
+def test_model_keeps_estimation_status(fleet, model, monkeypatch):
     assert model.exchanger_status == "converged"
     one_step = partial(PanelLeastSquares, max_steps=1)
     monkeypatch.setattr("hdt_core.calibration.calibrate.PanelLeastSquares", one_step)
     assert calibrate(fleet.samples, fleet.legs, fleet.maintenance).exchanger_status == "max_steps"
 
 
-def test_without_a_usable_flight_the_priors_stand_and_legs_turned_away_do_not_calibrate(fleet):
+def test_empty_fleet_keeps_priors(fleet):
     small = fleet.only("T-00")
     dsm = calibrate(small.samples.clear(), small.legs.clear(), small.maintenance)
     np.testing.assert_allclose(dsm.design, hx.MEAN)
@@ -169,7 +170,7 @@ def row(parameter: str, dsm=DSM, **where) -> dict:
     [("hx_ua_reference_w_k", "ln_ua_reference", 0.02), ("ram_area_closed_m2", "ln_door_closed", 0.0),
      ("ram_area_open_m2", "ln_door_open", 0.0), ("ram_rest_area_m2", "ln_rest_area", 0.0)],
 )  # fmt: skip
-def test_a_logarithm_is_stated_as_what_it_is_of(parameter, name, shift):
+def test_logarithms_are_stated_as_values(parameter, name, shift):
     """Its deviation by its own slope; the conductance at the clean fleet's level."""
     value = np.exp(dict(zip(hx.NAMES, hx.MEAN, strict=True))[name] + shift)
     entry = row(parameter)
@@ -179,13 +180,13 @@ def test_a_logarithm_is_stated_as_what_it_is_of(parameter, name, shift):
 
 
 @pytest.mark.parametrize(("share", "identifiable"), [(0.49, True), (0.51, False)])
-def test_what_halves_its_prior_is_identified(share, identifiable):
+def test_halved_prior_is_identified(share, identifiable):
     cov = tuple(map(tuple, np.diag((share * hx.SD) ** 2)))
     rows = design_parameters(replace(DSM, exchanger_cov=cov)).filter(scope="fleet", component="HX")
     assert set(rows["identifiable"]) == {identifiable}
 
 
-def test_elasticity_is_an_exponent_times_its_films_share():
+def test_elasticity_follows_film_share():
     """At 0.9 and 1.6 kg/s the film's share as declared: 0.45 each way beside a wall of 0.1; elsewhere it shifts."""
     p = dict(zip(hx.NAMES, hx.MEAN, strict=True))
     hot = (1.0 - p["hx_wall_share"]) * 0.5
@@ -208,7 +209,7 @@ def test_elasticity_is_an_exponent_times_its_films_share():
         assert row("hx_flow_elasticity_cold", tight)["identifiable"] == identifiable
 
 
-def test_the_compressor_as_built_is_identified_within_a_tenth():
+def test_compressor_is_identified_within_tenth():
     own = design_parameters(DSM).filter(component="CC", scope="fleet")
     rows = {r["parameter"]: r for r in own.iter_rows(named=True)}
     want = {"cc_diameter_vda_intercept": (0.18, 0.002, "m"), "cc_diameter_vda_slope": (-2e-5, 1e-6, "m/count"),
@@ -235,7 +236,7 @@ def audit(ratio: np.ndarray, maintenance: pl.DataFrame | None = None) -> pl.Data
     return audit_drift(rows, log() if maintenance is None else maintenance, DSM)
 
 
-def test_a_straight_line_is_its_slope_and_units_are_audited_apart():
+def test_audit_states_slope_of_line():
     row = audit(0.05 - 0.001 * np.arange(30)).row(0, named=True)
     assert row["drift_per_100_flights"] == pytest.approx(-0.1)
     assert row["drift_sd"] == pytest.approx(0.0, abs=1e-9)
@@ -251,12 +252,13 @@ def test_a_straight_line_is_its_slope_and_units_are_audited_apart():
 
 
 @pytest.mark.parametrize(("per_100", "drifts"), [(0.0099, False), (0.0101, True), (-0.0101, True)])
-def test_a_drift_is_one_per_cent_in_a_hundred_flights(per_100, drifts):
+def test_drift_limit_is_one_percent(per_100, drifts):
+    """In a hundred flights."""
     assert audit(per_100 / 100.0 * np.arange(30))["drifts"].to_list() == [drifts]
 
 
 @pytest.mark.parametrize(("times", "drifts"), [(2.9, False), (3.1, True)])
-def test_and_three_deviations(times, drifts):
+def test_drift_needs_three_deviations(times, drifts):
     """Half the width of the interval that holds the slope by 68 %, which a line put on top does not widen."""
     noise = 0.02 * np.sin(2.3 * np.arange(40) ** 1.5)
     bare = audit(noise).row(0, named=True)

@@ -31,7 +31,7 @@ def small():
     return fleet_with_truth(1, 12, seed=5)
 
 
-def test_without_flights_the_priors_stand_and_without_a_law_the_inlet_as_recorded(small):
+def test_empty_record_keeps_priors(small):
     """The level of clean units to 5 %, theirs to 5.5, a flight to 2 %; the law's reference flows and conductance."""
     draft = _draft_model(small.samples.clear(), small.legs.clear(), {})
     assert (draft.clean_level, draft.clean_level_sd, draft.offset_sd, draft.flight_sd) == (0.0, 0.05, 0.055, 0.02)
@@ -49,7 +49,7 @@ def test_without_flights_the_priors_stand_and_without_a_law_the_inlet_as_recorde
     assert (full_open[:2] != rows["hx_in_k"][:2].to_numpy()).all()
 
 
-def test_a_draft_is_anchored_where_its_points_lie(small):
+def test_draft_is_anchored_at_points(small):
     draft = _draft_model(small.samples, small.legs, {})
     assert (draft.n_flights, [p.n_flights for p in draft.packs]) == (10, [10, 10])  # the second milestone
     design, own = draft.design, small.samples.filter(pl.col("flight_id") <= "T-00_20240110_01")
@@ -65,7 +65,7 @@ def test_a_draft_is_anchored_where_its_points_lie(small):
 
 
 @pytest.mark.parametrize(("verdicts", "n_rows"), [([True, False], 1), ([None, None], 2), ([None, False], 1)])
-def test_a_leg_without_a_verdict_calibrates(verdicts, n_rows):
+def test_unjudged_leg_calibrates(verdicts, n_rows):
     base = flights(2).select("operator", "tail", "pack", "flight_id")
     legs = base.with_columns(admitted=pl.Series(verdicts, dtype=pl.Boolean))
     assert _select_admitted(base, legs).height == n_rows
@@ -73,7 +73,8 @@ def test_a_leg_without_a_verdict_calibrates(verdicts, n_rows):
     assert _select_admitted(base, legs.clear()).height == 2
 
 
-def test_levels_of_packs_are_their_first_ten_flights_cleared_of_wear():
+def test_pack_levels_exclude_wear():
+    """A pack's level is that of its first ten flights, cleared of wear."""
     ratios = {"A": -0.03, "B": 0.05, "C": -0.2}
     rows = [flights(n, tail=t, ln_ua_ratio=[v] * 10 + [9.0] * (n - 10) if n > 10 else [v] * n)
             for (t, v), n in zip(ratios.items(), (12, 10, 4), strict=True)]  # fmt: skip
@@ -92,7 +93,7 @@ def test_levels_of_packs_are_their_first_ten_flights_cleared_of_wear():
     assert exchanger_levels(rows[0].clear(), DSM) == ()
 
 
-def test_instruments_are_logarithms_flights_count_by_departure_and_versions_by_nine_digits():
+def test_instruments_are_logarithms():
     """Temperature, pressure, hot inlet, Mach number and flow; squares and product of the first two."""
     at = dict(tat_k=255.0, total_pressure_pa=3e4, hx_in_k=400.0, mach=0.83, pack_flow_kg_s=0.8)  # noqa: C408
     signals = {n: np.array([v * np.exp(0.1 * k), np.nan]) for k, (n, v) in enumerate(at.items(), 1)}
@@ -123,7 +124,7 @@ def machines(n_flights: int, seed: int = 1) -> BlockRows:
     return BlockRows(x, y, np.zeros(flight.size, int), flight, blocks)
 
 
-def test_the_interval_of_a_share_is_that_of_flights_drawn_again():
+def test_share_interval_resamples_flights():
     rows = machines(30)
     linear = compare_forms(rows)[1]
     slope, level = np.polyfit(rows.x, rows.y, 1)
@@ -134,7 +135,8 @@ def test_the_interval_of_a_share_is_that_of_flights_drawn_again():
 
 
 @pytest.mark.parametrize(("samples", "n_samples"), [(119_996, 119_996), (120_000, 60_000)])
-def test_of_many_samples_whole_flights_are_taken_evenly(samples, n_samples):
+def test_thinning_takes_whole_flights(samples, n_samples):
+    """Evenly over the record."""
     flight = np.arange(samples) // 4
     blocks = pl.DataFrame({"turn": range(samples // 4)})
     few = _thin(BlockRows(np.arange(samples), np.arange(samples), flight, flight, blocks))
@@ -152,7 +154,7 @@ def compressor(n: int, **columns) -> pl.DataFrame:
     return pl.DataFrame(named | columns)
 
 
-def test_a_group_has_a_slope_from_thirty_points_on():
+def test_group_slope_needs_thirty_points():
     rows = compressor(30)
     line = fit_line(rows_of(rows, "group_m3"))
     assert _group_slope(rows) == (line.slope, line.slope_sd)
@@ -173,7 +175,7 @@ def test_a_group_has_a_slope_from_thirty_points_on():
     ("packs", "n", "size", "share"),
     [(3, 60, 1.0, 0.0), (4, 80, 1.0, 0.8), (4, 39, 1.0, 0.0), (4, 40, 1.0, 0.8), (4, 80, 9.0, None)],
 )
-def test_exit_pressures_of_four_packs_speak_and_no_probe_takes_more_than_four_fifths(packs, n, size, share):
+def test_exit_correction_needs_four_packs(packs, n, size, share):
     """A cubic of height and the logarithm of flow, the fleet's; each pack flies at heights of its own. A probe is
     declared to 0.4 %: its share is that variance over the packs'."""
     rng, beyond = np.random.default_rng(1), size * np.array([0.001, 0.0, -0.001, 0.002])[:packs]
@@ -202,7 +204,7 @@ def test_exit_pressures_of_four_packs_speak_and_no_probe_takes_more_than_four_fi
     assert np.ptp(offsets) > 0.001
 
 
-def test_a_difference_of_an_inlet_is_shared_by_the_sensors_declared_errors():
+def test_inlet_difference_is_shared_by_error():
     """Of 1 and 0.5 K, 0.3 and 0.2 %. A probe without a reading, or with a pressure below 0, has no error to correct."""
     packs = pl.DataFrame({"operator": "O", "tail": list("ABCDE"), "pack": 1})
     nothing = dict.fromkeys(("altitude_m", "cc_flow_kg_s", "pack_flow_kg_s", "cc_out_pa"), 1.0)
@@ -227,7 +229,7 @@ BARS = (0.41, 0.1, 6.1, -0.11)
     ("at", "value", "proposed"),
     [(None, 0.0, True), (0, 0.39, False), (0, -0.41, True), (2, 5.9, False), (3, -0.09, False), (3, 0.11, False)],
 )
-def test_a_term_is_proposed_over_four_bars(monkeypatch, at, value, proposed):
+def test_term_is_proposed_over_bars(monkeypatch, at, value, proposed):
     """Six of BIC, a tenth of the residuals, four deviations, off its bounds; and it is the best."""
     numbers = [value if k == at else bar for k, bar in enumerate(BARS)]
     best, second = list(TERMS)[:2]
@@ -251,7 +253,7 @@ def test_a_term_is_proposed_over_four_bars(monkeypatch, at, value, proposed):
     assert propose(pl.DataFrame(), DSM).select("value", "n").rows() == [(None, 59)] * 2
 
 
-def test_a_step_is_hubers_regression_through_instruments():
+def test_step_is_huber_regression():
     """The design under its prior, the term under none; of neighbouring changes ten count as one."""
     rng, p = np.random.default_rng(2), len(hx.MEAN)
     instruments = rng.standard_normal((80, 8))
@@ -283,7 +285,8 @@ def cruise_of(n: int, tail: str, seed: int, pack: int = 1) -> pl.DataFrame:
                    **{name: list(rng.uniform(*limits, n)) for name, limits in ranges.items()})  # fmt: skip
 
 
-def test_changes_are_of_one_pack_and_folds_of_aircraft():
+def test_steps_stay_within_pack():
+    """Changes are of one pack, folds are of whole aircraft."""
     rows = pl.concat([cruise_of(30, t, k) for k, t in enumerate("ABCDEFG")] + [cruise_of(9, "A", 9, pack=2)])
     gap = rows.with_columns(pl.when(pl.col("flight_id") == "B_004").then(None).otherwise("hx_in_k").alias("hx_in_k"))
     dsm = with_bias(("B", 1), hx_out_k=0.5)
@@ -299,7 +302,7 @@ def test_changes_are_of_one_pack_and_folds_of_aircraft():
     assert len(np.unique(two.fold)) == 5
 
 
-def test_of_a_large_fleet_every_second_aircraft_speaks(monkeypatch):
+def test_large_fleet_is_thinned_by_aircraft(monkeypatch):
     rows = pl.concat([cruise_of(10, t, k) for k, t in enumerate("ABCD")])
     for most, tails in ((40, 4), (39, 2), (20, 2), (19, 2), (13, 1)):
         monkeypatch.setattr(missing_physics, "MOST_FLIGHTS", most)
@@ -308,7 +311,7 @@ def test_of_a_large_fleet_every_second_aircraft_speaks(monkeypatch):
     assert missing_physics.MOST_FLIGHTS == 20_000
 
 
-def test_a_term_is_fitted_in_five_steps_and_accepted_in_three_rounds(monkeypatch):
+def test_term_is_fitted_in_five_steps(monkeypatch):
     """A step moves a term within its bounds, and the design by half at most."""
     steps, (name, other) = _flight_steps(cruise_of(30, "A", 1), DSM), list(TERMS)[:2]
     size, p = 0.02 * TERMS[name].bounds[1], len(hx.MEAN)
@@ -331,7 +334,7 @@ def test_a_term_is_fitted_in_five_steps_and_accepted_in_three_rounds(monkeypatch
     assert rounds == [{}]
 
 
-def test_evidence_is_the_coefficient_over_its_deviation_and_what_is_left_out():
+def test_evidence_matches_hand_computation():
     rows = pl.concat([cruise_of(40, t, k) for k, t in enumerate("ABC")])
     changes, name = _flight_steps(rows, DSM), next(iter(TERMS))
     fit, row = _fit(changes, DSM, (name,)), _evidence(changes, DSM, name)

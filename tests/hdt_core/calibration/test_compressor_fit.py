@@ -39,7 +39,7 @@ def fit(fleet, fleets):
     return fit_compressor(compressor_rows(fleets.group_flow(fleet.samples)))
 
 
-def test_the_line_is_recovered_with_its_interval_and_beats_other_forms_on_flights_left_out(fit, fleets):
+def test_recovers_diameter_line(fit, fleets):
     assert abs(fit.slope_m_per_count - fleets.SLOPE_M) < 3.0 * fit.slope_sd_m_per_count
     assert fit.slope_sd_m_per_count < 0.1 * abs(fleets.SLOPE_M)
     assert abs(fit.intercept_m - fleets.INTERCEPT_M) < 3.0 * fit.intercept_sd_m
@@ -61,7 +61,7 @@ def test_the_line_is_recovered_with_its_interval_and_beats_other_forms_on_flight
     assert fit.group_m3 == pytest.approx(fleets.GROUP_M3, rel=0.005)
 
 
-def test_what_the_diffuser_adds_to_the_flow_is_recovered(fit, fleet, fleets):
+def test_recovers_group_slope(fit, fleet, fleets):
     """A group that grows by a third of a millionth a count, read by a flow sensor and a position with their noise."""
     slope, rng = 3.3e-7, np.random.default_rng(5)
     inlet = [fleet.samples[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")]
@@ -78,7 +78,7 @@ def test_what_the_diffuser_adds_to_the_flow_is_recovered(fit, fleet, fleets):
     assert refit.vda_widest_counts == pytest.approx(600.0, abs=25.0)
 
 
-def test_worn_machine_does_not_flatten_the_line(fleet, fleets):
+def test_worn_machine_keeps_line_steep(fleet, fleets):
     """Speed up by what a loss of diameter asks for: level and slope of that machine shrink, the fleet's don't."""
     order = pl.col("time_utc").rank("dense").over(PACK) / pl.len().over(PACK)
     shrunk = pl.when((pl.col("pack") == 1) & (pl.col("tail") < "T-02")).then(1.0 - 0.15 * order).otherwise(1.0)
@@ -87,7 +87,7 @@ def test_worn_machine_does_not_flatten_the_line(fleet, fleets):
     assert abs(worn.intercept_m - fleets.INTERCEPT_M) < 3.0 * worn.intercept_sd_m
 
 
-def test_noise_of_the_diffuser_is_not_taken_for_a_flatter_line(fleets):
+def test_diffuser_noise_keeps_line_steep(fleets):
     """Ten times five counts would flatten the line by a third; declared noise is put back."""
     rng = np.random.default_rng(3)
     n = 40_000
@@ -105,7 +105,7 @@ def test_noise_of_the_diffuser_is_not_taken_for_a_flatter_line(fleets):
     assert fit_compressor(frame).slope_m_per_count == pytest.approx(fleets.SLOPE_M, rel=0.02)
 
 
-def test_few_or_no_points_leave_the_papers_line_and_the_prior(fleet):
+def test_few_points_keep_papers_line(fleet):
     few = fit_compressor(compressor_rows(fleet.samples.head(20)))
     assert few.intercept_m == 0.1731
     assert few.intercept_sd_m >= 0.01
@@ -119,7 +119,7 @@ def test_few_or_no_points_leave_the_papers_line_and_the_prior(fleet):
     assert area_sd / area == pytest.approx(2.0 / 3.0 * 0.110, rel=0.01)
 
 
-def test_flights_side_by_side_end_where_one_by_one_and_the_closed_form_end(fleet, fleets):
+def test_batched_fit_matches_single_fits(fleet, fleets):
     samples = fleets.group_flow(fleet.only("T-00").samples)
     free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
     one_by_one = SimpleNamespace(name="nls", estimate=NonlinearLeastSquares().estimate)
@@ -148,7 +148,7 @@ def fitted(points: Points, n_packs: int):
     return PanelLeastSquares().estimate(exchanger_panel(points, *prior))[0]
 
 
-def test_worn_packs_tell_the_same_law_as_clean_ones(fleet):
+def test_worn_packs_give_same_law(fleet):
     """Left packs lose up to a half in the window, right ones nothing."""
     fits = [fitted(points_of(fleet.samples.filter(pl.col("pack") == side)), 5) for side in (1, 2)]
     true = flow_elasticities(fleet.design, *FLOWS)
@@ -158,7 +158,7 @@ def test_worn_packs_tell_the_same_law_as_clean_ones(fleet):
 
 
 @pytest.mark.parametrize("rate", [1e-3, 4e-3])
-def test_a_slow_loss_put_upon_the_records_is_health_and_not_design(fleet, rate):
+def test_slow_loss_is_not_design(fleet, rate):
     """Exit temperatures of one pack raised as its conductance would, flight by flight."""
     points = points_of(fleet.samples.filter(pl.col("pack") == 2))
     bias = np.zeros((len(hx.BIASES), 1))
@@ -172,7 +172,7 @@ def test_a_slow_loss_put_upon_the_records_is_health_and_not_design(fleet, rate):
     assert shift_sd.max() < 0.5
 
 
-def test_more_flights_leave_less_in_doubt_and_without_points_the_prior_stands(fleet):
+def test_more_flights_shrink_doubt(fleet):
     points = points_of(fleet.samples)
     early = points.flight < 20
     signals = {n: v[early] for n, v in points.signals.items()}
@@ -192,7 +192,7 @@ def test_more_flights_leave_less_in_doubt_and_without_points_the_prior_stands(fl
 
 
 @pytest.mark.parametrize(("n_known", "effect"), [(19, 40.0), (20, 10.0)])
-def test_panel_as_declared(fleet, n_known, effect):
+def test_panel_is_as_declared(fleet, n_known, effect):
     """Health walks by 0.01 a flight from within 0.3, a flight scatters by 0.02; the law errs by 1 %, the balance of the
     ram flow by 1.5. Of neighbouring points ten count as one, forty where fewer than twenty show the ram flow; a point
     averages six samples at most."""
@@ -215,7 +215,7 @@ def test_panel_as_declared(fleet, n_known, effect):
 
 
 @pytest.mark.parametrize("faulty", [[], [0.91]], ids=["sound", "one reads 17 % high"])
-def test_one_faulty_sensor_leaves_the_fleet_as_built(faulty):
+def test_faulty_sensor_leaves_built_level(faulty):
     levels = np.array([*np.linspace(0.76, 0.78, 19), *faulty])
 
     as_built, _ = _as_built(levels, 2.0 * ENTRY_WEAR)

@@ -22,7 +22,7 @@ def machine_rows(n_flights: int, per_flight: int = 4, *, scatter: float = 0.0, b
     return BlockRows(x, y, block, flight, blocks)
 
 
-def test_the_line_of_machines_of_two_sizes_learns_nothing_beyond_hubers_bend():
+def test_line_spans_two_machine_sizes():
     """Its slope is that of the mean level, raised by what a noise of 5 counts takes from it."""
     rows = machine_rows(40)
     line = fit_line(rows)
@@ -44,7 +44,7 @@ def test_the_line_of_machines_of_two_sizes_learns_nothing_beyond_hubers_bend():
     assert fit_line(calm).slope == pytest.approx(plain.slope * raised * 20.0 / 0.5, rel=1e-6)
 
 
-def test_the_slopes_error_lets_samples_of_a_flight_err_together():
+def test_slope_error_clusters_by_flight():
     """The sandwich over flights; each sample thrice, the error stays what it was."""
     rows = machine_rows(200, scatter=0.002)
     line = fit_line(rows)
@@ -73,7 +73,7 @@ def frame(x: list[float], flights: list[int], y: float = 0.17, tail: str = "A") 
     })  # fmt: skip
 
 
-def test_blocks_are_twenty_flights_and_spikes_of_the_position_are_left_out():
+def test_position_spikes_are_left_out():
     """Four robust deviations and the sensor's noise from the pack's middle: 4 x 1.4826 x 10 + 5."""
     calm = [*[390.0, 410.0] * 41, 400.0, 400.0]
     reach = 4.0 * 1.4826 * 10.0 + 5.0
@@ -87,7 +87,7 @@ def test_blocks_are_twenty_flights_and_spikes_of_the_position_are_left_out():
     assert rows.blocks["turn"].to_list() == [0, 1, 2]
 
 
-def test_an_as_built_line_is_that_of_machines_as_seen_raised():
+def test_built_line_is_raised_for_wear():
     """Two machines of 0.16 and 0.20 m: as built 0.18 m and the wear of their entry; the slope grows with it."""
     rows = machine_rows(40)
     frames = [
@@ -111,7 +111,7 @@ def test_an_as_built_line_is_that_of_machines_as_seen_raised():
     assert fit.r_squared == fit.forms[1].r_squared
 
 
-def test_forms_are_compared_on_flights_left_out():
+def test_forms_are_compared_out_of_sample():
     """A parabola: the line's error is that of the bend, the quadratic's of the scatter; a level costs a parameter."""
     bent = machine_rows(60, scatter=1e-4, bend=2e-6)
     constant, linear, quadratic, cubic = compare_forms(bent)
@@ -153,7 +153,7 @@ def as_built_by_hand(levels: np.ndarray, wear: float) -> tuple[float, float]:
     return np.exp(middle), np.exp(middle) * np.sqrt(np.average((level - middle) ** 2, weights=chance))
 
 
-def test_machines_as_built_lie_above_machines_as_seen_and_few_points_leave_the_papers_law():
+def test_built_level_lies_above_worn():
     """By what their spread tells of wear that is exponential: many alike are hardly worn, two tell little."""
     for levels in (np.array([0.16, 0.17, 0.18]), np.array([0.17, 0.17]), np.array([0.17])):
         assert _as_built(levels, 0.003) == pytest.approx(as_built_by_hand(levels, 0.003), rel=1e-5)
@@ -186,7 +186,7 @@ def test_machines_as_built_lie_above_machines_as_seen_and_few_points_leave_the_p
     assert inlet["cc_blade_angle_rad"] == (np.deg2rad(36.0), np.deg2rad(3.0))
 
 
-def test_an_efficiency_is_of_the_first_twenty_flights_and_raised_by_wear():
+def test_efficiency_is_of_first_flights():
     rows = pl.concat([
         frame([400.0] * 30, list(range(30)), tail=tail).with_columns(
             efficiency=pl.when(pl.int_range(30) < 20).then(level).otherwise(0.5)

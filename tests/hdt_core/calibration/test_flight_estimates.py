@@ -40,7 +40,7 @@ def location(values: list[float]) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("values", [[0.1], [0.0, 0.01, 0.03, 0.02, 0.6], [0.0, 0.1, 0.3, -0.2, 0.11, 0.07, -0.9, 0.0]])
-def test_a_flights_value_is_hubers(values):
+def test_flight_value_is_huber_location(values):
     rows = pl.DataFrame({**KEY, "r": values}, schema_overrides={"r": pl.Float64})
     other = rows.with_columns(pack=pl.lit(2), r=pl.col("r") + 5.0)
     located = _locate(pl.concat([other, rows]), "r", "x")
@@ -58,7 +58,7 @@ def flown() -> pl.DataFrame:
 BIASED = with_bias(("T-00", 1), pack_flow_kg_s=0.01, hx_in_k=0.5, hx_out_k=-0.4, tat_k=0.3, ram_door_open=0.005)
 
 
-def test_the_ratio_is_that_of_its_samples_with_the_sensors_errors_taken_out(flown):
+def test_ratio_is_cleared_of_bias(flown):
     twin = estimate_flights(flown, BIASED)
     own = flown.filter(pl.col("flight_id") == twin["flight_id"][0], pack=1)
     signals = {n: own[n].to_numpy().astype(float) for n in (*hx.SIGNALS, "ram_out_k")}
@@ -102,7 +102,7 @@ def test_the_ratio_is_that_of_its_samples_with_the_sensors_errors_taken_out(flow
     np.testing.assert_allclose(hx.design_gradient(at, DSM.design, bias, here)[0], gradient, rtol=1e-2, atol=1e-4)
 
 
-def test_climb_above_2500_m_tells_of_the_door(flown):
+def test_climb_reveals_door_error(flown):
     """Four samples or more, with air through the pack: their median over the cruise."""
     climb = flown.filter(pack=1).group_by("flight_id", maintain_order=True).head(4).with_columns(
         phase=pl.lit("climb"), time_utc=pl.col("time_utc") - timedelta(hours=1),
@@ -127,7 +127,7 @@ def test_climb_above_2500_m_tells_of_the_door(flown):
     ({"phase": "climb"}, "no_cruise"), ({"monitored": False}, "no_cruise"), ({"hx_out_k": None}, "no_cruise"),
     ({}, "ok"),
 ])  # fmt: skip
-def test_what_makes_a_flight_silent(flown, change, status):
+def test_flight_without_cruise_is_silent(flown, change, status):
     odd = flown.with_columns(pl.lit(v, dtype=flown.schema[c]).alias(c) for c, v in change.items())
     twin = estimate_flights(odd, DSM)
     assert twin["status"].unique().to_list() == [status]
@@ -136,7 +136,7 @@ def test_what_makes_a_flight_silent(flown, change, status):
     assert (twin["cc_n_samples"] > 0).all() == ("phase" not in change)
 
 
-def test_few_samples_are_fewer_than_three_and_no_core_is_150_times_another(flown):
+def test_flight_needs_three_samples(flown):
     pair, three = (flown.group_by("flight_id", "pack").head(n) for n in (2, 3))
     assert estimate_flights(pair, DSM)["status"].unique().to_list() == ["few_samples"]
     assert estimate_flights(three, DSM)["status"].unique().to_list() == ["ok"]
@@ -150,7 +150,7 @@ def test_few_samples_are_fewer_than_three_and_no_core_is_150_times_another(flown
         assert (twin["ln_ua_ratio"] is None) == (twin["ua_w_k"] is None) == (status != "ok")
 
 
-def test_air_data_fill_each_other():
+def test_air_data_fill_gaps():
     rows = pl.DataFrame({**KEY, "altitude_m": [1e4, 1e4], "mach": [None, 0.8], "total_pressure_pa": [4e4, None]})
     filled = complete_air_data(rows)
     static = float(standard_pressure_pa(np.float64(1e4)))
@@ -160,7 +160,8 @@ def test_air_data_fill_each_other():
     assert filled["cc_in_k"].null_count() == 2
 
 
-def test_points_are_medians_of_levels_of_300_m(flown):
+def test_points_are_medians_of_levels(flown):
+    """Levels of 300 m."""
     own = cruise_samples(flown).filter(pack=1)
     own = own.with_columns(altitude_m=pl.lit(10500.0) + pl.Series([0.0, 140.0, 160.0, -140.0, 0, 0, 0, 0] * 2))
     points = level_points(own, flights_of(own))
@@ -172,7 +173,7 @@ def test_points_are_medians_of_levels_of_300_m(flown):
     assert to_points(points, packs).pack.tolist() == [0] * 4
 
 
-def test_a_compressors_sample_stands_on_the_air_of_its_level():
+def test_compressor_samples_by_hand():
     """Inlet by the air data at the flight's own distance; pressures averaged over five samples along a level."""
     n = 7
     rows = pl.DataFrame({
@@ -217,7 +218,8 @@ def followed(fleet):
     return estimate_flights(fleet.samples, model), model
 
 
-def test_ratio_follows_the_loss_whatever_the_offset_in_tables_as_declared(flights, fleet, model):
+def test_ratio_follows_true_loss(flights, fleet, model):
+    """Whatever the offset of its pack."""
     joined = flights.join(fleet.truth, on=["tail", "flight_id", "pack"])
     offset_column = (pl.col("ln_ua_ratio") - (1.0 - pl.col("loss")).log()).alias("offset")
     offset = joined.with_columns(offset_column).group_by("tail", "pack").agg(pl.col("offset").std())
@@ -228,7 +230,7 @@ def test_ratio_follows_the_loss_whatever_the_offset_in_tables_as_declared(flight
     assert TwinHealth.faults(track(flights, fleet.maintenance, model).health) == []
 
 
-def test_each_flight_stands_alone_by_snapshots_and_by_log(fleet, model, flights):
+def test_flight_is_estimated_alone(fleet, model, flights):
     one = flights["flight_id"][17]
     alone = estimate_flights(fleet.samples.filter(pl.col("flight_id") == one), model)
     among = flights.filter(pl.col("flight_id") == one)
@@ -247,7 +249,7 @@ def test_each_flight_stands_alone_by_snapshots_and_by_log(fleet, model, flights)
 
 
 @pytest.mark.parametrize("column", SIGNALS)
-def test_a_pack_without_a_signal_has_rows_and_no_estimate(fleet, model, column):
+def test_missing_signal_gives_no_estimate(fleet, model, column):
     deaf = (pl.col("tail") == "T-01") & (pl.col("pack") == 2)
     samples = fleet.samples.with_columns(pl.when(~deaf).then(pl.col(column)).alias(column))
     twin = estimate_flights(samples, model)
@@ -259,7 +261,7 @@ def test_a_pack_without_a_signal_has_rows_and_no_estimate(fleet, model, column):
     assert (rows["sd"] > 0.04).all()
 
 
-def test_no_cruise_is_no_estimate_and_no_ram_outlet_a_larger_doubt(fleet, model, flights):
+def test_climb_only_gives_no_estimate(fleet, model, flights):
     climbing = fleet.only("T-00").samples.with_columns(phase=pl.lit("climb"))
     twin = estimate_flights(climbing, model)
     assert twin["status"].unique().to_list() == ["no_cruise"]
@@ -276,7 +278,7 @@ def test_no_cruise_is_no_estimate_and_no_ram_outlet_a_larger_doubt(fleet, model,
 
 
 @pytest.mark.parametrize(("tails", "n_flights"), [(1, 30), (1, 3), (2, 1)])
-def test_small_fleets_are_estimated_with_wide_doubt(tails, n_flights):
+def test_small_fleet_has_wide_doubt(tails, n_flights):
     fleet = fleet_with_truth(tails, n_flights, seed=5)
     twin, model = followed(fleet)
     rows = track(twin, fleet.maintenance, model).health.filter(pl.col("parameter") == "hx_fouling")
@@ -286,7 +288,7 @@ def test_small_fleets_are_estimated_with_wide_doubt(tails, n_flights):
     assert off.max() < 0.2
 
 
-def test_a_wrong_door_shows_between_cruise_and_climb_and_wear_does_not(fleet, model):
+def test_climb_separates_door_from_wear(fleet, model):
     climb = (
         fleet.samples.filter(pl.col("phase") == "cruise")
         .group_by("operator", "tail", "pack", "flight_id")

@@ -33,7 +33,7 @@ def terms(rows: pl.DataFrame, discharge_k, *, ram_out_k=None, door=None) -> np.n
     return np.stack([discharge_k, ram_out_k, ln_ram, ln_flow, apart * ln_ram, apart * ln_flow], axis=1)
 
 
-def test_what_an_inlet_has_above_its_law(cruise):
+def test_inlet_excess_is_median_residual(cruise):
     bias = np.tile(BIAS, cruise.height)
     above_law = inlet_above_law(cruise, SLOPES, DSM.design, bias).sort("pack", "flight_id")
     above = cruise["hx_in_k"].to_numpy() - terms(cruise, cruise["cc_out_k"].to_numpy()) @ SLOPES
@@ -44,7 +44,7 @@ def test_what_an_inlet_has_above_its_law(cruise):
     assert inlet_above_law(stuck, SLOPES, DSM.design, bias).is_empty()
 
 
-def test_without_a_discharge_temperature_the_pressure_ratio_tells(cruise):
+def test_pressure_ratio_replaces_discharge_temperature(cruise):
     """At an efficiency of 0.75, for flights that have none at all."""
     bias, one = np.tile(BIAS, cruise.height), cruise["flight_id"] == cruise["flight_id"][0]
     silent = cruise.with_columns(pl.when(~one).then("cc_out_k").alias("cc_out_k"))
@@ -56,7 +56,7 @@ def test_without_a_discharge_temperature_the_pressure_ratio_tells(cruise):
     assert above_law[0] == pytest.approx(np.median(above[(one & (cruise["pack"] == 1)).to_numpy()]), rel=2e-3)
 
 
-def test_slopes_are_hubers_about_the_packs_medians(cruise):
+def test_slopes_are_huber_about_medians(cruise):
     """A weak ridge of 1e-4; a twentieth of the samples is far off and pulls as if it were 1.345 deviations."""
     bias, rng = np.tile(BIAS, cruise.height), np.random.default_rng(2)
     x = terms(cruise, cruise["cc_out_k"].to_numpy())
@@ -79,7 +79,7 @@ def test_slopes_are_hubers_about_the_packs_medians(cruise):
     assert learn_inlet(rows.head(199), DSM.design, bias[:, :199]) == ()
 
 
-def test_a_door_full_open_cools_the_inlet_by_the_heat_balance(cruise):
+def test_open_door_cools_inlet(cruise):
     """Linear in the ram outlet, which is linear in the inlet: solved for the inlet by iteration."""
     rows = cruise.head(6)
     bias, discharge = np.tile(BIAS, rows.height), rows["cc_out_k"].to_numpy()
@@ -145,7 +145,7 @@ def slopes(flown, model):
     return learn_inlet(flown, model.design, model.bias_of(flown))
 
 
-def test_the_law_holds_with_or_without_discharge_temperature_and_with_the_door_full_open(flown, model, slopes):
+def test_recovers_inlet_law(flown, model, slopes):
     assert slopes[0] == pytest.approx(1.0 - EFFECTIVENESS, abs=0.1)
     assert spread(above(flown, model, slopes)) < 0.5
     silent = flown.with_columns(cc_out_k=pl.lit(None, pl.Float64))
@@ -170,7 +170,7 @@ def test_the_law_holds_with_or_without_discharge_temperature_and_with_the_door_f
 
 
 @pytest.mark.parametrize(("sensor", "error", "least"), [("hx_in_k", 4.0, 1.5), ("cc_out_k", -4.0, 1.5)])
-def test_a_sensor_that_is_off_leaves_the_law(flown, model, slopes, sensor, error, least):
+def test_biased_sensor_leaves_law(flown, model, slopes, sensor, error, least):
     above_law = above(flown.with_columns(pl.col(sensor) + error), model, slopes)
     shift = above_law["inlet_apart_k"] - above(flown, model, slopes)["inlet_apart_k"]
     assert shift.median() > least

@@ -57,14 +57,14 @@ def scatter(flights):
     return float(np.std(change.to_numpy()))
 
 
-def test_nothing_is_proposed_where_nothing_is_missing(fleet, model):
+def test_complete_model_gets_no_proposal(fleet, model):
     proposals = propose(estimate_flights(fleet.samples, model), model)
     assert set(proposals["term"]) == set(TERMS)
     assert not proposals["proposed"].any()
     assert proposals["bic_gain"].max() < 0.0
 
 
-def test_the_missing_term_is_proposed_alone_and_accepting_it_mends_residual_and_coefficient(sprayed, lacking, mended):
+def test_missing_term_is_proposed_alone(sprayed, lacking, mended):
     proposals = propose(estimate_flights(sprayed.samples, lacking), lacking)
     assert proposals.filter("proposed")["term"].to_list() == ["water_spray"]
     best = proposals.row(0, named=True)
@@ -78,7 +78,7 @@ def test_the_missing_term_is_proposed_alone_and_accepting_it_mends_residual_and_
 
 
 @pytest.mark.parametrize(("name", "value"), [("water_spray", SPRAY), ("flow_leak", 0.2)])
-def test_on_an_aircraft_never_seen_the_accepted_term_leaves_noise_alone(plain, name, value):
+def test_term_explains_unseen_aircraft(plain, name, value):
     """Aircraft 3 is left out of every calibration; where nothing is missing, its residual is what no model explains."""
     learned, other = ("T-00", "T-01", "T-02"), "T-03"
     fleet = lacking_term(plain, name, value)
@@ -93,14 +93,14 @@ def test_on_an_aircraft_never_seen_the_accepted_term_leaves_noise_alone(plain, n
     assert after < 1.1 * noise
 
 
-def test_worn_packs_speak_too(sprayed, lacking):
+def test_worn_packs_propose_same_term(sprayed, lacking):
     """Wear moves slowly: the left packs, half of their conductance gone, tell as much of the weather's doing."""
     worn = estimate_flights(sprayed.samples, lacking).filter(pack=1)
     assert propose(worn, lacking).filter("proposed")["term"].to_list() == ["water_spray"]
 
 
 @pytest.mark.parametrize(("flights", "value"), [(60, 0.0), (61, SPRAY)])
-def test_sixty_changes_without_noise_give_the_coefficient_itself(flights, value):
+def test_coefficient_needs_sixty_changes(flights, value):
     """A core of the model's own conductance in air that spray has cooled; by medians alone."""
     rng = np.random.default_rng(2)
     ranges = {
@@ -118,7 +118,7 @@ def test_sixty_changes_without_noise_give_the_coefficient_itself(flights, value)
     assert coefficients(twin, DSM, ("water_spray",))["water_spray"] == pytest.approx(value, abs=0.01)
 
 
-def test_an_accepted_coefficient_is_found_in_three_rounds(monkeypatch):
+def test_accepted_coefficient_takes_three_rounds(monkeypatch):
     monkeypatch.setattr("hdt_core.calibration.calibrate._calibrate", lambda *args: SimpleNamespace(terms=args[-1]))
     for name in ("estimate_flights", "baseline_samples"):
         monkeypatch.setattr(f"hdt_core.calibration.calibrate.{name}", lambda *_: None)
@@ -127,7 +127,7 @@ def test_an_accepted_coefficient_is_found_in_three_rounds(monkeypatch):
     assert calibrate(None, None, None).terms == {}
 
 
-def test_too_few_flights_say_so(sprayed, lacking):
+def test_few_flights_propose_nothing(sprayed, lacking):
     few = estimate_flights(sprayed.samples.head(40), lacking)
     proposals = propose(few, lacking)
     assert not proposals["proposed"].any()

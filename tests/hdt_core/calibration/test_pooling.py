@@ -54,7 +54,7 @@ def draw_packs(n_operators: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("n_operators", [1, 3])
 @pytest.mark.parametrize("size", [1.0, 0.01])
-def test_pooling_is_the_normal_posterior(n_operators, size):
+def test_pooling_is_normal_posterior(n_operators, size):
     """Where packs hardly differ it is their errors that the grid of spreads is measured by."""
     value, error, operator = draw_packs(n_operators)
     pooled = pool(value * size, error, operator)
@@ -64,7 +64,7 @@ def test_pooling_is_the_normal_posterior(n_operators, size):
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
-def test_a_unit_of_measurement_changes_nothing(unit):
+def test_pooling_is_free_of_units(unit):
     """Two hundred packs, whose evidence alone would be beyond the range of numbers."""
     rng = np.random.default_rng(1)
     value, error, operator = rng.standard_normal(200), np.full(200, 0.3), np.arange(200) % 2
@@ -72,7 +72,7 @@ def test_a_unit_of_measurement_changes_nothing(unit):
         np.testing.assert_allclose(other, unit * np.asarray(plain), rtol=1e-6)
 
 
-def test_an_operator_that_shows_nothing_has_the_fleets_and_hundreds_are_within_range():
+def test_silent_operator_has_fleet_level():
     """A pack of its own has the spread of operators on top of the fleet's doubt, and that of packs on top of it."""
     value, error, operator = draw_packs(3)
     value[operator == 2] = np.nan
@@ -86,7 +86,7 @@ def test_an_operator_that_shows_nothing_has_the_fleets_and_hundreds_are_within_r
     assert together == pytest.approx(clean_units(ratios, [0.01] * 300, none), rel=1e-6)
 
 
-def test_what_shows_nothing_is_nan_or_the_fleets_and_levels_have_names():
+def test_empty_pool_is_nan():
     pooled = pool(np.full(3, np.nan), np.ones(3), np.zeros(3, dtype=int))
     assert np.isnan(pooled.fleet)
     assert np.isnan(pooled.pack).all()
@@ -114,7 +114,7 @@ def cruise(**columns: list[float | None]) -> pl.DataFrame:
     return rows.with_columns(flight_id=pl.lit("F"), time_utc=pl.lit(START))
 
 
-def test_flow_and_tat_take_their_share_of_what_a_pack_shows_beyond_the_fleet():
+def test_sensor_prior_shares_pack_difference():
     """Pack flow and compressor flow, 2 % each, share evenly; TAT has 0.5 K against 1 K over the root of two packs."""
     rows = cruise(pack_flow_kg_s=[0.8 * np.exp(0.03), 0.8, 0.9, 0.9], cc_flow_kg_s=[0.8, 0.8, 0.9, 0.9],
                   tat_k=[251.0, 252.0, 253.0, 253.0], cc_in_k=[250.0, 250.0, 253.0, 253.0])  # fmt: skip
@@ -136,7 +136,7 @@ def test_flow_and_tat_take_their_share_of_what_a_pack_shows_beyond_the_fleet():
     np.testing.assert_allclose(sd[:, others], np.tile(hx.BIAS_SDS[others], (4, 1)))
 
 
-def test_the_compressors_probes_take_their_share_and_without_a_second_the_declared_error():
+def test_single_sensor_keeps_declared_error():
     mean, sd = sensor_prior(cruise(cc_flow_kg_s=[None] * 4, cc_in_k=[None] * 4).cast({"cc_flow_kg_s": pl.Float64,
                             "cc_in_k": pl.Float64}), PACKS)  # fmt: skip
     assert not mean.any()
@@ -151,7 +151,7 @@ def test_the_compressors_probes_take_their_share_and_without_a_second_the_declar
 
 
 @pytest.mark.parametrize(("n_flights", "enough"), [(9, False), (10, True)])
-def test_exit_pressure_beyond_what_height_and_flow_call_for(n_flights, enough):
+def test_exit_bias_is_beyond_schedule(n_flights, enough):
     """Of four packs ten flights each; one reads 1 % high, which varies more between packs than probes do."""
     rng = np.random.default_rng(2)
     beyond = [0.01, 0.0, -0.002, 0.002]
@@ -169,7 +169,7 @@ def test_exit_pressure_beyond_what_height_and_flow_call_for(n_flights, enough):
 
 
 @pytest.mark.parametrize(("doors", "apart"), [((0.5, 0.5), 6.0), ((0.95, 0.05), 6.0), ((0.5, 0.96), None)])
-def test_exits_are_compared_while_both_doors_can_move(doors, apart):
+def test_exits_compare_with_free_doors(doors, apart):
     rows = pl.concat([
         PACKS[:2].with_columns(flight_id=pl.lit("F"), hx_out_k=pl.Series([300.0 + k, 294.0 + k]),
                                ram_door_open=pl.Series(doors))
@@ -181,7 +181,8 @@ def test_exits_are_compared_while_both_doors_can_move(doors, apart):
 
 
 @pytest.mark.parametrize(("stuck", "is_compared"), [(1, True), (2, False)])
-def test_doors_must_be_free_for_more_than_four_fifths_of_a_cruise(stuck, is_compared):
+def test_comparison_needs_mostly_free_doors(stuck, is_compared):
+    """Free for more than four fifths of a cruise."""
     doors = pl.int_range(pl.len()).over("pack") < stuck
     rows = pl.concat([PACKS[:2]] * 10).with_columns(
         flight_id=pl.lit("F"), hx_out_k=300.0 + 1.0 * pl.col("pack"),
@@ -190,7 +191,7 @@ def test_doors_must_be_free_for_more_than_four_fifths_of_a_cruise(stuck, is_comp
     assert exit_differences(rows)["apart_k"].is_not_null().all() == is_compared
 
 
-def test_biases_are_taken_out_with_their_sign():
+def test_biases_are_removed_with_sign():
     """A sensor that reads high by its bias meets less than it reads; the flow's is a fraction."""
     signals = {n: np.array([v]) for n, v in zip((*hx.SIGNALS, "ram_out_k"), (1e4, 0.8, 250.0, 3e4, 400.0, 300.0, 0.4,
                                                 0.8, 320.0), strict=True)}  # fmt: skip
@@ -210,7 +211,7 @@ ENTRY = [(0.50, 0.004, 0.005), (0.20, 0.030, 0.020), (0.18, 0.090, 0.040), (0.12
 
 
 @pytest.mark.parametrize("ratio", [0.05, -0.1, -0.4])
-def test_what_is_below_the_level_is_split_between_wear_and_offset(ratio):
+def test_entry_posterior_splits_wear(ratio):
     """On a grid of wear: level less wear plus an offset of 0.05 and an error of 0.02."""
     wear = np.linspace(-0.5, 1.0, 60001)
     prior = sum(share * norm.pdf(wear, mean, sd) for share, mean, sd in ENTRY)
@@ -222,7 +223,7 @@ def test_what_is_below_the_level_is_split_between_wear_and_offset(ratio):
 
 
 @pytest.mark.parametrize("ratio", [-9.0, 9.0])
-def test_far_from_every_class_the_widest_one_is_left(ratio):
+def test_far_entry_takes_widest_class(ratio):
     """A mean of 0.2 and a deviation of 0.08, against an offset of 0.05 and an error of 0.02."""
     share = 0.08**2 / (0.08**2 + 0.05**2 + 0.02**2)
     entry = entry_posterior(np.array([ratio]), np.array([0.02**2]), 0.03, 0.05)
@@ -247,7 +248,7 @@ def clean_units(ratios, error, new) -> tuple[float, float, float]:
     return mean, np.sqrt(weight.sum(0) @ (levels - mean) ** 2), weight.sum(1) @ spreads
 
 
-def test_the_clean_level_is_integrated_over_spread_and_wear():
+def test_clean_level_is_integrated():
     """Three packs; one gets another core, of which the log tells. Alternate flights are 0.02 apart."""
     levels = [0.06, -0.02, 0.01]
     rows = [
@@ -271,7 +272,7 @@ def test_the_clean_level_is_integrated_over_spread_and_wear():
     assert fleet_level.reference_ua_w_k == clean
 
 
-def test_few_flights_keep_the_scatter_and_nothing_seen_changes_nothing():
+def test_few_flights_keep_prior_scatter():
     few = flights(15, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
     assert fleet_levels(few, log(), DSM).flight_sd == pytest.approx(np.sqrt(0.015**2 - 0.004**2))
     calm = flights(21, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
@@ -283,7 +284,7 @@ def test_few_flights_keep_the_scatter_and_nothing_seen_changes_nothing():
 
 
 @pytest.mark.parametrize("wear", [0.0, 0.1, 0.4])
-def test_a_deposit_in_series_is_brought_to_the_reference(wear):
+def test_deposit_is_brought_to_reference(wear):
     # conductances in series: 1/UA = 1/UA_clean + film, with the film that gives `wear` at the reference
     clean = np.array([1400.0, 1700.0, 2300.0])
     film = (np.exp(wear) - 1.0) / 1700.0
