@@ -34,7 +34,7 @@ def admitted(fleet, level_one):
     return admit_fleet(*level_one, fleet.maintenance, fleet.messages)
 
 
-def test_no_leg_is_lost_first_verdicts_stand_and_sick_flights_stay_out(level_one, admitted, fleet):
+def test_second_level_keeps_first_verdicts(level_one, admitted, fleet):
     assert admitted.select(LEG).equals(level_one[0].select(LEG))
     assert set(admitted["reason"]) <= {"", *REASONS, *SECOND_LEVEL}
     assert (admitted["admitted"] == (admitted["reason"] == "")).all()
@@ -63,7 +63,7 @@ def _planted(samples: pl.DataFrame, legs: pl.DataFrame, column: str, change: pl.
 
 
 @pytest.mark.parametrize("step_k", [-4.0, 4.0])
-def test_outlet_sensor_that_steps_is_found_on_its_own_pack(level_one, step_k):
+def test_outlet_step_flags_own_pack(level_one, step_k):
     legs, samples = level_one
     tail = legs["tail"][0]
     span = pl.col("flight_number").is_between(100, 130) & (pl.col("tail") == tail)
@@ -91,7 +91,7 @@ def _apart(legs: pl.DataFrame, column: str, slope: float, mine: pl.Expr) -> pl.D
 
 
 @pytest.mark.parametrize(("column", "slope"), [("inlet_apart_k", 0.15), ("door_apart_ln", 0.004)])
-def test_a_drift_that_only_the_twin_sees_is_turned_away_from_its_first_flights(fleet, level_one, column, slope):
+def test_twins_drift_is_rejected_early(fleet, level_one, column, slope):
     legs, samples = level_one
     mine = (pl.col("tail") == legs["tail"][0]) & (pl.col("pack") == 1)
     norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
@@ -106,7 +106,7 @@ def test_a_drift_that_only_the_twin_sees_is_turned_away_from_its_first_flights(f
 
 
 @pytest.mark.parametrize("ice_k", [4.0])
-def test_ice_that_comes_and_goes_makes_a_leg_restless(level_one, ice_k):
+def test_ice_makes_leg_restless(level_one, ice_k):
     legs, samples = level_one
     enough = pl.col("monitored").sum().over(LEG) >= 10
     place = pl.col("monitored").cum_sum().over(LEG)
@@ -123,7 +123,7 @@ def test_ice_that_comes_and_goes_makes_a_leg_restless(level_one, ice_k):
     assert (both["index_unrest_iced"] > 6.5).mean() >= 0.8
 
 
-def test_the_index_falls_with_true_loss_and_is_null_without_samples(fleet, level_one):
+def test_index_falls_with_true_loss(fleet, level_one):
     legs, samples = level_one
     level = leg_conductance(samples, learn_manifold(samples, legs)).join(fleet.truth, on=KEY)
     sound = level.filter(~pl.col("icing") & ~pl.col("door_fault") & (pl.col("sensor_fault") == ""))
@@ -139,7 +139,7 @@ def test_the_index_falls_with_true_loss_and_is_null_without_samples(fleet, level
 
 
 @pytest.mark.parametrize("share", [0.02, 0.10, 0.25])
-def test_mcd_is_not_masked_by_what_it_must_reject(share):
+def test_mcd_is_not_masked_by_outliers(share):
     rng = np.random.default_rng(8)
     scales = np.array([0.01, 0.2, 0.004])
     x = rng.normal(size=(1000, 3)) * scales
@@ -151,7 +151,7 @@ def test_mcd_is_not_masked_by_what_it_must_reject(share):
     assert out[~sick].mean() <= 0.01
 
 
-def test_a_norm_is_kept_as_text_and_judges_each_tail_alone(fleet, level_one, admitted):
+def test_norm_judges_each_tail_alone(fleet, level_one, admitted):
     legs, samples = level_one
     norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
     assert NominalBaseline.from_json(norm.to_json()) == norm
@@ -197,14 +197,14 @@ def losses(parameter: str, value: float, sd: float | None) -> pl.DataFrame:
         ("cc_diameter_loss", 0.0751, None, "CC_WORN"), ("cc_diameter_loss", 0.0749, None, ""),
     ],
 )  # fmt: skip
-def test_a_loss_is_below_its_limit_with_probability_95_per_cent(parameter, value, sd, reason):
+def test_worn_leg_is_rejected(parameter, value, sd, reason):
     """1.645 deviations below .15; .075 of a diameter, which goes with the root of the pressure rise."""
     result = verdicts(health=losses(parameter, value, sd))
     assert set(result["reason"]) == {reason}
     assert set(result["n_nominal"]) == {0 if reason else 9}
 
 
-def test_the_exchanger_speaks_first_and_an_earlier_reason_stays():
+def test_earlier_reason_stays():
     both = pl.concat([losses("cc_efficiency_loss", 0.3, 0.0), losses("hx_fouling", 0.3, 0.0)])
     assert set(verdicts(health=both)["reason"]) == {"HX_WORN"}
     low = {"index_level": [0.0] * 20 + [-0.2] * 10}
@@ -221,7 +221,7 @@ def test_the_exchanger_speaks_first_and_an_earlier_reason_stays():
     ("n", "off_k", "out"),
     [(8, 0.7, True), (20, 0.7, True), (7, 0.7, False), (7, 0.75, True), (None, 1.98, True), (None, 1.96, False)],
 )
-def test_an_outlier_of_few_samples_counts_as_its_mean_deserves(n, off_k, out):
+def test_few_samples_weaken_outlier(n, off_k, out):
     """Weighted by the root of an eighth of its samples, one where the number is not known: 3.48 deviations of .2 K is
     the 99.95 % quantile of one normal residual."""
     scatter = Scatter(("inlet_minus_tat_k_off",), (0.0,), ((25.0,),))

@@ -69,7 +69,7 @@ def test_coarse_step_is_no_frozen_sensor(signal, step):
 
 
 @pytest.mark.parametrize("step", [0.25, 1.0, 2.0])
-def test_frozen_flow_is_found_beside_steps(step):
+def test_frozen_flow_is_flagged_beside_steps(step):
     stuck = pl.when(pl.col("pack") == 2).then(100 * LB_MIN).otherwise("pack_flow_kg_s").alias("pack_flow_kg_s")
     assert reasons(in_steps(fly(), "pack_flow_kg_s", step * LB_MIN).with_columns(stuck)) == ["", "SENSOR_FROZEN"]
 
@@ -99,14 +99,14 @@ def test_number_for_no_value_is_a_gap(value):
     assert reasons(records) == ["", ""]
 
 
-def test_three_gaps_that_chance_put_in_a_row_are_missing():
+def test_chance_gaps_are_irregular():
     """Every eighth of 24 readings, as one in sixty of all triples has some period."""
     empty = np.isin(np.arange(24), (7, 15, 23))
 
     assert regular_gaps(empty, np.arange(24)) == 0
 
 
-def test_gaps_at_random_are_missing():
+def test_random_gaps_are_missing():
     lost = pl.int_range(pl.len()).over("pack") ** 3 % 31 < 9
     records = fly().with_columns(pl.when(~(lost & (pl.col("pack") == 2))).then("hx_out_k").alias("hx_out_k"))
     assert reasons(records) == ["", "SENSOR_MISSING"]
@@ -119,7 +119,7 @@ def of_pack_one(records: pl.DataFrame, signals: list[str]) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("signals", [OWN_SIGNALS, *([s] for s in OWN_SIGNALS)], ids=lambda s: "all" if s[1:] else s[0])
-def test_one_channel_for_both_packs_is_found(signals):
+def test_shared_channel_is_reported(signals):
     records = in_steps(fly(), "hx_out_k", 0.25)
 
     found = find_channels(of_pack_one(records, signals))
@@ -129,19 +129,19 @@ def test_one_channel_for_both_packs_is_found(signals):
     }
 
 
-def test_one_channel_serves_neither_pack():
+def test_shared_channel_admits_neither_pack():
     legs, samples = judge_legs(of_pack_one(fly(), OWN_SIGNALS))
     assert legs["reason"].to_list() == ["ONE_CHANNEL"] * 2
     assert not samples["monitored"].any()
 
 
 @pytest.mark.parametrize("step", [0.25, 1.0, 5.0, 13.2])
-def test_equal_readings_of_a_step_are_two_channels(step):
+def test_equal_steps_are_two_channels(step):
     assert find_channels(in_steps(fly(), "pack_flow_kg_s", step * LB_MIN)).is_empty()
 
 
 @pytest.mark.parametrize("signal", ["ram_out_k", "cc_out_k", "cc_flow_kg_s", "cc_speed_rad_s", "vda_counts"])
-def test_zero_on_both_packs_is_not_fitted(signal):
+def test_zero_on_both_packs_is_unfitted(signal):
     zero = 273.15 if signal.endswith("_k") else 0.0
     records = fly().with_columns(pl.lit(zero).alias(signal))
     assert find_channels(records).select("signal", "reason").rows() == [(signal, "not_fitted")] * 2
@@ -152,7 +152,7 @@ RATES_HZ = [0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0]
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
-def test_log_of_any_rate_gives_minutes(rate_hz):
+def test_log_is_averaged_to_minutes(rate_hz):
     log = fly(int(3_600 * rate_hz), 1.0 / rate_hz, "cpl")
 
     samples = judge_legs(log)[1].filter(pack=1)
@@ -163,6 +163,6 @@ def test_log_of_any_rate_gives_minutes(rate_hz):
 
 
 @pytest.mark.parametrize("period", [2, 4, 8])
-def test_slower_channel_of_a_log_is_averaged(period):
+def test_slow_log_channel_is_averaged(period):
     log = with_gaps(fly(3_600, 1.0, "cpl"), "hx_out_k", period, one_is_kept=True)
     assert judge_legs(log)[1]["hx_out_k"].is_not_null().all()

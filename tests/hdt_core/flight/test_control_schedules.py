@@ -19,7 +19,7 @@ from hdt_core.flight.control_schedules import (
 )
 
 
-def test_a_schedule_is_read_between_knots_of_eight_kelvin_with_gain_and_level():
+def test_schedule_is_read_between_knots():
     assert tuple(228.0 + 8.0 * k for k in range(12)) == TAT_KNOTS_K
     assert tuple(4800.0 + 800.0 * k for k in range(13)) == ALTITUDE_KNOTS_M
     law = ControlSchedule((0.0, 10.0), {"": (0.0, 5.0), "A": (1.0, 3.0)}, {"": 0.0, "A": 2.0}, {"": 7.0, "A/1": 8.0})
@@ -69,7 +69,7 @@ def fleet(seed: int, flights: int = 30, tail: str = "A", samples: int = 10) -> p
     )  # fmt: skip
 
 
-def test_schedules_are_the_least_squares_of_their_aircraft():
+def test_schedules_are_least_squares():
     samples = fleet(1)
     learned = learn_schedules(samples)
     x, y, flow = (samples[c].to_numpy() for c in ("tat_k", "hx_out_k", "pack_flow_kg_s"))
@@ -88,7 +88,7 @@ def test_schedules_are_the_least_squares_of_their_aircraft():
     assert ControlSchedules.from_dict(json.loads(json.dumps(learned.to_dict()))) == learned
 
 
-def test_a_limit_is_met_where_pressure_falls_short_or_speed_is_within_half_a_percent():
+def test_speed_limit_shows_in_pressure():
     fast = pl.int_range(pl.len()) < 30
     samples = fleet(1).with_columns(
         cc_speed_rad_s=pl.when(fast).then(4300.0).otherwise("cc_speed_rad_s"),
@@ -101,7 +101,7 @@ def test_a_limit_is_met_where_pressure_falls_short_or_speed_is_within_half_a_per
     assert speed_limit(speed, short) == SpeedLimit(4300.0 * (1.0 - 0.0048), at_limit=True)
 
 
-def test_an_aircraft_has_its_own_law_from_300_samples_and_two_a_knot():
+def test_own_law_needs_300_samples():
     few = fleet(2, tail="B").head(299)
     learned = learn_schedules(pl.concat([fleet(1), few]))
     assert set(learned.outlet.shapes) == {"", "A"}
@@ -114,7 +114,7 @@ def test_an_aircraft_has_its_own_law_from_300_samples_and_two_a_knot():
     assert learn_schedules(samples.clear()).outlet.levels == {}
 
 
-def test_sixty_flights_teach_and_only_a_running_pack_in_cruise():
+def test_schedules_learn_from_sixty_flights():
     samples = fleet(3, flights=61, samples=5)
     hot = pl.when(pl.col("flight_id") == "060").then(pl.col("hx_out_k") + pl.col("tat_k")).otherwise("hx_out_k")
     assert learn_schedules(samples.with_columns(hot.alias("hx_out_k"))) == learn_schedules(samples)
@@ -132,7 +132,7 @@ def test_sixty_flights_teach_and_only_a_running_pack_in_cruise():
     assert without.delivery == learn_schedules(samples).delivery
 
 
-def test_ten_samples_teach_no_schedule():
+def test_ten_samples_give_no_schedule():
     few = learn_schedules(fleet(1, flights=2, samples=5))
     for law in (few.outlet, few.delivery):
         assert (set(law.shapes[""]), law.gains) == ({0.0}, {"": 0.0})
@@ -152,7 +152,7 @@ def near_the_limit(short: int, near: int, by_sd: float) -> SpeedLimit:
     return limit
 
 
-def test_a_quarter_of_the_samples_and_five_lack_four_deviations_about_their_median():
+def test_speed_limit_needs_quarter_of_samples():
     assert near_the_limit(5, 20, 4.01).at_limit
     assert not near_the_limit(5, 20, 3.99).at_limit
     assert not near_the_limit(4, 12, 4.01).at_limit
@@ -179,7 +179,7 @@ def flown(rng: np.random.Generator, limit_rad_s: float) -> tuple[np.ndarray, np.
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_limit_of_a_noisy_record(seed):
+def test_recovers_limit_from_noise(seed):
     limit = speed_limit(*flown(np.random.default_rng(seed), 4400.0))
     assert limit.at_limit
     assert limit.rad_s == pytest.approx(4400.0, rel=0.002)

@@ -28,7 +28,7 @@ def samples(pack: int, **changed: object) -> pl.DataFrame:
     return frame.cast({"pack": pl.Int32, "time_utc": pl.Datetime("us", "UTC")})
 
 
-def test_checks_of_a_leg_by_hand():
+def test_leg_checks_by_hand():
     two = samples(2, hx_out_k=[299.0, 299.0, 301.0, 302.0, 303.0, 303.0], ram_door_open=0.4, pack_flow_kg_s=0.75)
     law = ControlSchedule((240.0, 270.0), {"": (296.0, 311.0)}, {"": 0.0})
     row = leg_checks(pl.concat([samples(1), two]), law).row(by_predicate=pl.col("pack") == 1, named=True)
@@ -56,12 +56,12 @@ def test_checks_of_a_leg_by_hand():
         (0.5, 0.21, True),
     ],
 )  # fmt: skip
-def test_a_door_has_authority_between_its_ends_while_the_pack_runs(door, flow, free):
+def test_door_authority_ends_at_stops(door, flow, free):
     rows = pl.DataFrame({"other_ram_door_open": [door], "other_pack_flow_kg_s": [flow]})
     assert rows.select(has_authority("other_")).item() is free
 
 
-def test_outlet_schedule_is_learned_from_free_doors_of_running_packs():
+def test_outlet_schedule_uses_free_doors():
     rng = np.random.default_rng(0)
     tat = rng.uniform(230.0, 310.0, 60)
     outlet = 200.0 + 0.4 * tat + 50.0 * (np.arange(60) >= 50)
@@ -88,7 +88,7 @@ def checked(column: str, values: np.ndarray, other: np.ndarray | None = None, **
 ALTERNATE = np.where(FLIGHT % 2 == 0, 1.0, -1.0)
 
 
-def test_tolerances_on_paper():
+def test_tolerances_are_as_declared():
     assert TOLERANCE == {
         "outlet_between_packs_k": 1.2, "inlet_minus_tat_k": 0.8, "inlet_over_total_pressure_ln": 0.015,
         "pack_over_compressor_flow_ln": 0.030, "pack_flow_between_packs_ln": 0.045, "inlet_apart_k": 2.5,
@@ -98,7 +98,7 @@ def test_tolerances_on_paper():
 
 @pytest.mark.parametrize("check", TOLERANCE)
 @pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (1.0, False), (-1.01, True)])
-def test_a_lasting_shift_is_one_beyond_its_tolerance(check, times, shifted):
+def test_lasting_shift_exceeds_tolerance(check, times, shifted):
     late = FLIGHT >= 40
     rows = checked(check, times * TOLERANCE[check] * late)
     assert rows["sensor_shift"].to_list() == (late if shifted else late & False).tolist()
@@ -108,7 +108,7 @@ def test_a_lasting_shift_is_one_beyond_its_tolerance(check, times, shifted):
 
 
 @pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (0.99, False)])
-def test_a_shift_of_a_noisy_check_is_four_deviations_of_its_median_or_of_one_flight(times, shifted):
+def test_noisy_check_needs_four_deviations(times, shifted):
     noise = np.tile([2.0, 0.0, -2.0], N // 3)  # medians of seven are 0, most steps 2
     sd_k = 1.2533 * 1.4826 * 2.0 / (2.0 * 7.0) ** 0.5
     flags = checked("inlet_minus_tat_k", noise + times * 4.0 * sd_k * (FLIGHT >= 50))["sensor_shift"].to_list()
@@ -121,12 +121,13 @@ def test_a_shift_of_a_noisy_check_is_four_deviations_of_its_median_or_of_one_fli
 
 
 @pytest.mark.parametrize(("times", "shifted"), [(2.51, True), (2.49, False)])
-def test_one_flight_is_enough_two_and_a_half_tolerances_off(times, shifted):
+def test_large_shift_needs_one_flight(times, shifted):
+    """Two and a half tolerances."""
     rows = checked("inlet_apart_k", times * 2.5 * (FLIGHT == 30))
     assert rows["sensor_shift"].to_list() == ((FLIGHT == 30) & shifted).tolist()
 
 
-def test_of_two_packs_the_one_off_the_fleets_law_drifts_from_where_it_left_its_level():
+def test_drift_is_flagged_from_start():
     drift = np.clip(FLIGHT - 30, 0, 20) * 0.1 * 0.8
     rows = checked("inlet_minus_tat_k", np.where(FLIGHT < 50, drift, 0.0))
     first = rows.filter("sensor_shift")["flight_number"].min()

@@ -24,7 +24,7 @@ def legs_and_samples(one_tail):
     return judge_legs(one_tail)
 
 
-def test_every_flight_and_pack_is_judged_once_and_nominal_samples_are_of_admitted_legs(one_tail, legs_and_samples):
+def test_every_leg_is_judged_once(one_tail, legs_and_samples):
     legs, _ = legs_and_samples
     assert legs.select(LEG).sort(LEG).equals(one_tail.select(LEG).unique().sort(LEG))
     assert set(legs["reason"]) <= {"", *REASONS}
@@ -43,7 +43,7 @@ def test_every_flight_and_pack_is_judged_once_and_nominal_samples_are_of_admitte
     assert (samples.filter(pl.col("source") == "acms")["n_averaged"] == 1).all()
 
 
-def test_order_repetition_and_other_flights_change_no_verdict(one_tail, legs_and_samples):
+def test_verdict_ignores_row_order(one_tail, legs_and_samples):
     shuffled = pl.concat([one_tail, one_tail.head(500)]).sample(fraction=1.0, shuffle=True, seed=5)
     legs, samples = judge_legs(shuffled)
     assert legs.equals(legs_and_samples[0])
@@ -75,7 +75,7 @@ def _altered(rows: pl.DataFrame, pack: int, **new: pl.Expr) -> pl.DataFrame:
     ],
     ids=["frozen", "dropout", "pack off", "door still", "no cruise"],
 )
-def test_planted_fault_is_given_its_reason(one_tail, legs_and_samples, new, reason):
+def test_planted_fault_has_reason(one_tail, legs_and_samples, new, reason):
     sound = legs_and_samples[0].filter(pl.col("admitted").all().over("flight_id") & (pl.col("source") == "acms"))
     flight = sound["flight_id"][10]
     sick = _altered(one_tail.filter(pl.col("flight_id") == flight), 2, **new)
@@ -113,7 +113,7 @@ def some(value: float, n: int, rest: float, rows: int = 12) -> list[float]:
     return [value] * n + [rest] * (rows - n)
 
 
-def test_a_sound_cruise_is_admitted_with_its_figures_from_two_nominal_samples_on():
+def test_sound_cruise_is_admitted():
     legs, samples = judge_legs(leg())
     row = legs.row(0, named=True)
     assert (row["reason"], row["admitted"], row["source"]) == ("", True, "acms")
@@ -135,7 +135,7 @@ def test_a_sound_cruise_is_admitted_with_its_figures_from_two_nominal_samples_on
 
 
 @pytest.mark.parametrize(("flow", "reason"), [(0.1999, "PACK_OFF"), (0.2, "NO_CRUISE"), (0.21, "")])
-def test_a_pack_is_off_below_a_fifth(flow, reason):
+def test_pack_is_off_below_flow(flow, reason):
     at_rest = [flow * (1.0 + 1e-7 * k) for k in range(12)]
     codes = reasons(leg(pack_flow_kg_s=at_rest), leg(2))
     assert codes == [reason if flow != 0.2 else "", "OTHER_PACK_OFF" if reason == "PACK_OFF" else ""]
@@ -150,7 +150,8 @@ def test_samples_in_icing_are_not_nominal():
 @pytest.mark.parametrize(
     ("rows", "n", "missing"), [(24, 3, True), (20, 2, False), (26, 3, False), (25, 3, False), (17, 2, False)]
 )
-def test_a_fitted_sensor_misses_three_readings_and_12_per_cent(rows, n, missing):
+def test_gap_limit_is_twelve_percent(rows, n, missing):
+    """And three readings."""
     gaps = [None] * n + [335.0] * (rows - n)
     assert reasons(leg(rows=rows, ram_out_k=gaps)) == ["SENSOR_MISSING" if missing else ""]
     assert reasons(leg(rows=rows, ram_out_k=None), leg(2, rows=rows, ram_out_k=None)) == ["", ""]
@@ -161,7 +162,7 @@ def test_a_fitted_sensor_misses_three_readings_and_12_per_cent(rows, n, missing)
     ("tat_k", "altitude_m", "icing"),
     [(268.15, 6699.0, 1), (268.14, 6699.0, 0), (283.15, 6699.0, 1), (283.16, 6699.0, 0), (270.0, 6700.0, 0)],
 )
-def test_icing_is_wet_cold_air_below_22000_feet(tat_k, altitude_m, icing):
+def test_icing_is_cold_air_below_fl220(tat_k, altitude_m, icing):
     codes = reasons(leg(tat_k=tat_k, altitude_m=altitude_m))
     assert codes == ["ICING" if icing else ""]
 
@@ -173,7 +174,7 @@ def test_icing_is_wet_cold_air_below_22000_feet(tat_k, altitude_m, icing):
         (0.034, 4100.0, 8, True),
     ],
 )  # fmt: skip
-def test_a_door_that_follows_no_climb_is_jammed(span, rise_m, rows, still):
+def test_still_door_in_climb_is_rejected(span, rise_m, rows, still):
     door = [0.3 + span * (k % 2) for k in range(rows)]
     height = [11_000.0 - rise_m, 11_000.0 - rise_m / 2.0] + [11_000.0] * (rows - 2)
     pa = {name: [60_000.0, 47_000.0] + [FLOWN[name]] * (rows - 2) for name in ("total_pressure_pa", "cc_in_pa")}
@@ -207,7 +208,8 @@ ODD = [{"bleed_2_open": False}, {"crossfeed_open": True}, {"pack_1_flow_kg_s": 0
 
 
 @pytest.mark.parametrize("values", ODD)
-def test_both_packs_of_the_flight_are_turned_away_and_an_earlier_reason_stays(legs, values):
+def test_odd_bleed_rejects_both_packs(legs, values):
+    """An earlier reason stays."""
     rows = reject_odd_bleed(legs, reports(1.5, **values))
     assert rows["reason"].to_list() == [BLEED, "ICING", "", "", "", ""]
     assert rows["admitted"].to_list() == [False, False, True, True, True, True]
@@ -220,7 +222,7 @@ def test_both_packs_of_the_flight_are_turned_away_and_an_earlier_reason_stays(le
     [{}, {"crossfeed_open": True, "altitude_m": 3_000.0}, {"crossfeed_open": True, "altitude_m": None},
      {"crossfeed_open": True, "tail": "X-9"}, dict.fromkeys(("bleed_1_open", "crossfeed_open", "pack_2_flow_kg_s"))],
 )  # fmt: skip
-def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(legs, values):
+def test_normal_bleed_rejects_nothing(legs, values):
     assert reject_odd_bleed(legs, reports(1.5, **values)).equals(legs)
 
 
@@ -233,12 +235,12 @@ def test_what_is_normal_low_unknown_or_of_another_aircraft_turns_nothing_away(le
         ({"crossfeed_open": True}, 25.0, 2), ({"crossfeed_open": True}, 25.1, 0),
     ],
 )  # fmt: skip
-def test_what_is_odd_and_how_long_a_flight_may_last(legs, values, hours, turned):
+def test_odd_bleed_limits(legs, values, hours, turned):
     rows = reject_odd_bleed(legs, reports(hours, **values))
     assert (rows["reason"] == BLEED).sum() == turned
 
 
-def test_a_report_belongs_to_the_last_departure_before_it(legs):
+def test_report_belongs_to_last_departure(legs):
     rows = reject_odd_bleed(legs, reports(6.0, crossfeed_open=True))
     assert rows.filter(reason=BLEED)["flight_id"].unique().to_list() == ["b"]
     assert reject_odd_bleed(legs, reports(30.0, crossfeed_open=True)).equals(legs)

@@ -53,7 +53,8 @@ def columns(samples: pl.DataFrame) -> dict[str, np.ndarray]:
     return {name: samples[name].to_numpy() for name in samples.columns}
 
 
-def test_the_law_is_hubers_regression_with_an_offset_for_ten_flights():
+def test_manifold_is_huber_regression():
+    """With an offset for every ten flights."""
     samples, legs = flown()
     s = columns(samples)
     x = terms(s)
@@ -76,7 +77,7 @@ def test_the_law_is_hubers_regression_with_an_offset_for_ten_flights():
     assert computed == pytest.approx(index.ravel())
 
 
-def test_few_samples_a_term_and_like_outlets_tell_nothing():
+def test_manifold_needs_ten_samples_per_term():
     samples, legs = flown()
     assert learn_manifold(samples.head(70), legs) is None
     assert learn_manifold(samples.head(71), legs) is not None
@@ -99,7 +100,7 @@ LAW = Manifold((0.0,) * len(TERMS), (0.0,) * len(TERMS), 0.02)
 """The index is the ratio's logarithm itself."""
 
 
-def test_unrest_is_the_furthest_mean_of_up_to_nine_in_standard_errors(monkeypatch):
+def test_unrest_is_largest_running_mean(monkeypatch):
     samples = flown(3)[0].head(2 * EACH)
     result = leg_conductance(samples, LAW).sort("flight_id")
     s = columns(samples)
@@ -140,12 +141,12 @@ def judge_levels(level: np.ndarray, fleet: IndexLevel = UNKNOWN, **more: float) 
 
 
 @pytest.mark.parametrize(("drop", "worn"), [(0.091, True), (0.089, False)])
-def test_worn_is_nine_hundredths_below_the_units_clean_level(drop, worn):
+def test_worn_is_below_clean_level(drop, worn):
     rows = judge_levels(np.where(FLIGHT < 20, 1.0, 1.0 - drop))
     assert rows["worn"].to_list() == ((FLIGHT >= 20) & worn).tolist()
 
 
-def test_clean_is_the_upper_decile_and_no_lower_than_the_fleets_less_two_deviations():
+def test_clean_level_is_upper_decile():
     few = np.where(FLIGHT < 6, 1.2, 1.0)  # above the decile on six flights of fifty
     assert judge_levels(few)["worn"].sum() == N - 6
     assert judge_levels(np.where(FLIGHT < 4, 1.2, 1.0))["worn"].sum() == 0
@@ -154,7 +155,7 @@ def test_clean_is_the_upper_decile_and_no_lower_than_the_fleets_less_two_deviati
 
 
 @pytest.mark.parametrize(("unrest", "restless"), [(6.51, True), (6.5, False)])
-def test_unrest_beyond_six_and_a_half(unrest, restless):
+def test_unrest_limit(unrest, restless):
     assert judge_levels(np.full(N, 1.0), unrest=unrest)["unrest"].to_list() == [restless] * N
 
 
@@ -165,13 +166,13 @@ def test_unrest_beyond_six_and_a_half(unrest, restless):
         (4.49 * 1.4826 * 0.02, 0.02, False),
     ],
 )  # fmt: skip
-def test_a_stray_leaves_its_neighbours(off, usual, stray):
+def test_stray_leaves_neighbours(off, usual, stray):
     rows = judge_levels(1.0 + off * (FLIGHT == 25), IndexLevel(stray=usual))
     assert rows["stray"].to_list() == ((FLIGHT == 25) & stray).tolist()
     assert rows["index_off"][25] == pytest.approx(off)
 
 
-def test_outliers_lie_beyond_the_chi_square_quantile_of_neighbours_and_levels():
+def test_stray_is_off_running_median():
     level = np.random.default_rng(1).normal(1.0, 0.02, N)
     smooth = [np.median(level[max(0, k - 3) : k + 4]) for k in FLIGHT]
     assert judge_levels(level)["index_off"].to_list() == pytest.approx((level - smooth).tolist())
@@ -188,7 +189,7 @@ def test_outliers_lie_beyond_the_chi_square_quantile_of_neighbours_and_levels():
     assert scatter.flag_outliers(rows).to_list() == [True, False, True]
 
 
-def test_a_scatter_wants_two_hundred_legs_that_move():
+def test_scatter_needs_200_moving_legs():
     rng = np.random.default_rng(0)
     rows = pl.DataFrame({"a": rng.normal(2.0, 0.1, 400), "b": np.where(np.arange(400) < 201, 0.0, 1.0)})
     learned = learn_scatter(rows, ["a", "b"])

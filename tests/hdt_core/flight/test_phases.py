@@ -26,7 +26,7 @@ def a320() -> np.ndarray:
     return 0.3048 * pl.read_parquet(A320)["altitude_ft"].to_numpy()
 
 
-def test_a_real_flight_agrees_with_openap_without_altitudes_or_the_recorders_code(a320):
+def test_real_flight_agrees_with_openap(a320):
     phase = add_phases(flown(a320), by=BY)["phase"].to_numpy()
     second = np.arange(phase.size)
     openap = np.where(second < TOP_OF_CLIMB_S, "climb", np.where(second < TOP_OF_DESCENT_S, "cruise", "descent"))
@@ -45,7 +45,7 @@ def test_a_real_flight_agrees_with_openap_without_altitudes_or_the_recorders_cod
 
 
 @pytest.mark.parametrize("every_s", [120, 240, 420])
-def test_snapshots_of_the_real_flight_fall_into_the_same_phases(a320, every_s):
+def test_snapshots_have_same_phases(a320, every_s):
     thinned = flown(a320[::every_s], every_s)
     phase = add_phases(thinned, by=BY)["phase"].to_numpy()
     second = np.arange(phase.size) * every_s
@@ -55,14 +55,14 @@ def test_snapshots_of_the_real_flight_fall_into_the_same_phases(a320, every_s):
 
 
 @pytest.mark.parametrize("every_s", [1, 150])
-def test_flight_of_manoeuvres_has_no_cruise(every_s):
+def test_manoeuvres_have_no_cruise(every_s):
     second = np.arange(0, 5400, every_s)
     weave = 6000.0 + 1500.0 * np.sin(2 * np.pi * second / 700.0)
     envelope = np.clip(np.minimum(second, 5400 - second) / 600.0, 0.0, 1.0)
     assert "cruise" not in set(add_phases(flown(weave * envelope, every_s), by=BY)["phase"])
 
 
-def test_a_hold_below_the_floor_is_no_cruise_and_mach_tells_the_ground():
+def test_low_hold_is_no_cruise():
     up, down = np.arange(0, 10_000, 10.0), np.arange(10_600, 2_400, -8.0)
     level, step, high = np.full(1500, 10_000.0), np.arange(10_000, 10_600, 4.0), np.full(1500, 10_600.0)
     hold, land = np.full(900, 2_400.0), np.arange(2_400, 0, -6.0)
@@ -86,27 +86,29 @@ def phases(altitude_m: list[float], every_s: float = 120.0, **more: np.ndarray) 
     ("level_m", "top_m", "cruise"),
     [(4573.0, 4573.0, 1), (4572.0, 4572.0, 0), (6001.0, 1e4, 1), (6000.0, 1e4, 0)],
 )
-def test_cruise_is_above_15000_feet_and_six_tenths_of_the_top(level_m, top_m, cruise):
+def test_cruise_floor(level_m, top_m, cruise):
+    """15,000 ft and six tenths of the top."""
     flight = [0.0, *[level_m] * 4, *([top_m] * 4 if top_m > level_m else []), 0.0]
     assert (phases(flight)[2] == "cruise") == cruise
 
 
 @pytest.mark.parametrize(("every_s", "cruise"), [(150.0, True), (149.0, False)])
-def test_a_level_run_of_five_minutes_is_cruise(every_s, cruise):
+def test_five_level_minutes_are_cruise(every_s, cruise):
     assert (phases([0.0, 8e3, 8e3, 8e3, 0.0], every_s)[2] == "cruise") is cruise
 
 
 @pytest.mark.parametrize(
     ("step_m", "every_s", "level"), [(30.4, 120.0, True), (30.5, 120.0, False), (30.0, 19.7, True), (30.0, 19.6, False)]
 )
-def test_snapshots_are_level_within_100_feet_and_300_feet_a_minute(step_m, every_s, level):
+def test_level_snapshots_climb_slowly(step_m, every_s, level):
+    """Within 100 ft, or 300 ft a minute."""
     phases = add_phases(flown(np.array([8e3, 8e3 + step_m]), every_s), by=BY)
     assert phases["level"].to_list() == [level] * 2
     assert phases["climb_rate_m_s"].to_list() == pytest.approx([step_m / every_s] * 2)
 
 
 @pytest.mark.parametrize(("rate", "level"), [(1.52, True), (1.53, False)])
-def test_a_log_is_level_below_300_feet_a_minute_over_60_seconds(rate, level):
+def test_level_log_climbs_slowly(rate, level):
     phases = add_phases(flown(8e3 + rate * np.arange(200.0)), by=BY)
     assert phases["level"].to_list() == [level] * 200
     bump = np.where(np.arange(200) < 100, 8e3, 8060.0)
@@ -116,14 +118,14 @@ def test_a_log_is_level_below_300_feet_a_minute_over_60_seconds(rate, level):
 
 
 @pytest.mark.parametrize(("every_s", "continuous"), [(10.0, True), (10.5, False)])
-def test_records_ten_seconds_apart_are_a_log(every_s, continuous):
+def test_ten_second_records_are_log(every_s, continuous):
     # sixty samples of a log are smoothed over thirty on either side, snapshots are not
     bump = np.where(np.arange(100) == 50, 8100.0, 8e3)
     level = add_phases(flown(bump, every_s), by=BY)["level"].to_list()
     assert level[50] is continuous
 
 
-def test_the_ground_by_mach_and_without_it_far_below_the_top_at_either_end():
+def test_ground_is_far_below_top():
     flight = [100.0, 100.0, 100.0, 5e3, 9e3, 9e3, 9e3, 9e3, 4e3, 50.0, 50.0]
     assert phases(flight)[:3] == ["ground"] * 3
     assert phases(flight)[-2:] == ["ground"] * 2

@@ -35,7 +35,7 @@ def recorded(n: int = 40, seed: int = 1) -> pl.DataFrame:
     return pl.concat(packs)
 
 
-def test_a_sound_record_passes_a_lasting_step_is_no_spike_and_an_empty_column_uncounted():
+def test_sound_record_passes():
     screened = null_bad_values(recorded(), by=BY)
     assert screened.select(SIGNALS).equals(recorded().select(SIGNALS))
     assert screened.select(pl.sum_horizontal("n_out_of_range", "n_spikes", "n_frozen").sum()).item() == 0
@@ -69,7 +69,7 @@ def read(signal: str, values: dict[int, float], **more: object) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("signal", LIMIT)
-def test_a_value_at_its_limits_and_just_beyond(signal):
+def test_values_beyond_limits_are_nulled(signal):
     low, high, _ = LIMIT[signal]
     margin = 0.02 * high if low == 0.0 else 0.0  # a few counts below zero
     hair = 1e-6 * (high - low)
@@ -82,7 +82,7 @@ def test_a_value_at_its_limits_and_just_beyond(signal):
 
 @pytest.mark.parametrize("signal", LIMIT)
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_spike_leaves_both_neighbours_by_more_than_a_sound_sensor_can(signal, sign):
+def test_spike_leaves_both_neighbours(signal, sign):
     low, high, jump = LIMIT[signal]
     level = 0.5 * (low + high)
     for times, spike in ((1.001, 1), (0.999, 0)):
@@ -95,7 +95,8 @@ def test_a_spike_leaves_both_neighbours_by_more_than_a_sound_sensor_can(signal, 
 
 
 @pytest.mark.parametrize("signal", NOISY)
-def test_a_noisy_reading_repeated_six_times_over_two_minutes_is_dead(signal):
+def test_repeated_noisy_reading_is_frozen(signal):
+    """Six times over two minutes."""
     high = LIMIT[signal][1]
     for n, level, every_s, frozen in (
         (6, 0.051 * high, 180, True), (5, 0.051 * high, 180, False), (6, 0.05 * high, 180, False),
@@ -110,7 +111,7 @@ def test_a_noisy_reading_repeated_six_times_over_two_minutes_is_dead(signal):
 
 
 @pytest.mark.parametrize("signal", FROZEN_RISE_M)
-def test_a_reading_bound_to_the_air_moves_with_altitude(signal):
+def test_frozen_air_reading_ignores_altitude(signal):
     most_m = 1000.0 if signal.endswith("_pa") else 6000.0
     assert FROZEN_RISE_M[signal] == most_m
     row = (pl.int_range(pl.len()) - 60).clip(0, 9)
@@ -122,6 +123,6 @@ def test_a_reading_bound_to_the_air_moves_with_altitude(signal):
 
 @pytest.mark.parametrize("sign", [-8.0, 8.0])
 @pytest.mark.parametrize("beside", [(345.0, 344.0), (344.0, 345.0), (345.0, 346.0), (346.0, 345.0)])
-def test_a_jump_of_just_what_is_allowed_is_no_spike(sign, beside):
+def test_allowed_jump_is_no_spike(sign, beside):
     around = {59: beside[0], 60: 345.0 + sign, 61: beside[1]}
     assert read("hx_out_k", dict.fromkeys(range(55, 66), 345.0) | around)["n_spikes"][60] == 0

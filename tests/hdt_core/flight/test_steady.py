@@ -30,7 +30,7 @@ def log(drift: dict[str, float], seed: int = 4) -> pl.DataFrame:
     )
 
 
-def test_an_average_is_the_mean_of_its_minute_where_no_driver_drifts_to_matter():
+def test_average_is_mean_of_minute():
     averaged = average_log(log({}), by=("tail",))
     assert averaged["n_averaged"].to_list() == [60] * 10
     assert averaged["steady"].all()
@@ -46,7 +46,7 @@ def test_an_average_is_the_mean_of_its_minute_where_no_driver_drifts_to_matter()
 
 
 @pytest.mark.parametrize("signal", DRIVERS)
-def test_a_minute_in_which_a_driver_drifts_is_not_steady_and_its_nearer_neighbour_holds_it(signal):
+def test_drifting_minute_is_unsteady(signal):
     assert not average_log(log({signal: 4.0 * DRIVERS[signal][0]}), by=("tail",))["steady"].any()
     rate, noise = DRIVERS[signal]
     most = max(rate * 60.0, 4.0 * 2.0**0.5 * noise)
@@ -59,11 +59,11 @@ def test_a_minute_in_which_a_driver_drifts_is_not_steady_and_its_nearer_neighbou
 
 
 @pytest.mark.parametrize(("seconds", "averaged"), [(45, 1), (44, 0)])
-def test_a_minute_wants_three_quarters_of_its_seconds(seconds, averaged):
+def test_minute_needs_45_seconds(seconds, averaged):
     assert average_log(log({}).head(seconds), by=("tail",)).height == averaged
 
 
-def test_a_signal_wants_half_of_its_minute_and_neighbours_of_its_own_phase():
+def test_signal_needs_half_its_minute():
     at = pl.int_range(pl.len())
     for n, has_value in ((31, True), (30, False)):
         half = log({}).head(60).with_columns(mach=pl.when(at < n).then("mach"), level=at != 3, n_spikes=pl.lit(2))
@@ -74,7 +74,7 @@ def test_a_signal_wants_half_of_its_minute_and_neighbours_of_its_own_phase():
     assert frozen_flags("mach", [0.0, 0.0], 60, level=[False, True]) == [False, True]
 
 
-def test_a_slope_is_both_significant_and_harmful():
+def test_drift_is_significant_harmful_slope():
     """Student's t of the line through ten readings, 4 at most, or a drift below what does harm."""
     second, rng = np.arange(10.0), np.random.default_rng(1)
     noise = rng.normal(size=10)
@@ -122,7 +122,7 @@ NO_WORK, NO_MESSAGE = worked("HX").clear(), warned("21-52-HXTEMP").clear()
 
 
 @pytest.mark.parametrize("component", AROUND_MAINTENANCE)
-def test_window_reaches_as_many_flights_as_declared_and_only_that_pack(component):
+def test_maintenance_window_is_of_pack(component):
     flagged = flag_windows(legs(), worked(component), NO_MESSAGE).filter("near_maintenance")
     before, after = AROUND_MAINTENANCE[component]
     assert flagged.select("tail", "pack").unique().rows() == [("A", 2)]
@@ -130,7 +130,7 @@ def test_window_reaches_as_many_flights_as_declared_and_only_that_pack(component
     assert flagged["flight_number"].to_list() == list(range(29 - before, 29 + after + 1))
 
 
-def test_a_time_of_day_opens_the_window_at_that_time_and_packs_share_their_flight_numbers():
+def test_window_opens_at_time_of_work():
     """The flight of six o'clock had left when the work was done at noon."""
     noon = worked("HX").with_columns(done_at=pl.lit(datetime(2024, 3, 31, 12, tzinfo=UTC)))
     flagged = flag_windows(legs(), noon, NO_MESSAGE).filter("near_maintenance")
@@ -142,25 +142,25 @@ def test_a_time_of_day_opens_the_window_at_that_time_and_packs_share_their_fligh
 
 
 @pytest.mark.parametrize("action", ["INSPECTED", "CLEANED"])
-def test_inspection_and_wash_open_no_window(action):
+def test_other_work_opens_no_window(action):
     assert not flag_windows(legs(), worked("HX", action), NO_MESSAGE)["near_maintenance"].any()
 
 
 @pytest.mark.parametrize("code", ["21-52-HXTEMP", "21-51-CCFLOW"])
-def test_message_of_the_exchanger_or_compressor_opens_a_window(code):
+def test_message_opens_window(code):
     flagged = flag_windows(legs(), NO_WORK, warned(code)).filter("near_message")
     before, after = AROUND_MESSAGE[code[:5]]
     assert flagged["flight_number"].to_list() == list(range(30 - before, 30 + after + 1))
 
 
 @pytest.mark.parametrize("on", [date(2023, 1, 1), date(2025, 1, 1)])
-def test_entry_outside_the_record_flags_nothing(on):
+def test_entry_outside_record_flags_nothing(on):
     flagged = flag_windows(legs(), worked("HX", on=on), NO_MESSAGE)
     assert flagged.height == legs().height
     assert flagged["near_maintenance"].sum() == 0
 
 
-def test_windows_and_milestones_on_paper():
+def test_windows_are_as_declared():
     assert AROUND_MAINTENANCE["RAM_DOOR"] == AROUND_MAINTENANCE["SENSOR"] == (15, 1)
     assert AROUND_MESSAGE == {"21-52": (10, 5), "21-51": (10, 5)}
     first = legs(400).filter(pl.col("tail") == "A", pl.col("pack") == 1)
@@ -180,7 +180,7 @@ def test_windows_and_milestones_on_paper():
 
 
 @pytest.mark.parametrize(("days", "reached"), [(21, True), (22, False)])
-def test_an_entry_concerns_flights_of_three_weeks_before(days, reached):
+def test_entry_reaches_back_three_weeks(days, reached):
     late = worked("HX", on=(START + timedelta(days=59 + days)).date())
     assert flag_windows(legs(), late, NO_MESSAGE)["near_maintenance"].any() == reached
 
@@ -208,7 +208,7 @@ def leg(component=HXT, **changed: object) -> dict[str, object]:
     return component_legs(component_samples(signals(**changed), component), component).row(0, named=True)
 
 
-def test_a_leg_of_six_samples_speaks_and_misses_only_channels_it_needs():
+def test_leg_needs_its_channels():
     row = leg()
     assert (row["reason"], row["component"], row["n_samples"], row["n_nominal"]) == ("", "HXT", 6, 6)
     assert row["departed_at"] == MORNING
@@ -229,13 +229,13 @@ def test_a_leg_of_six_samples_speaks_and_misses_only_channels_it_needs():
 
 
 @pytest.mark.parametrize(("slow", "reason"), [(1, ""), (2, "FEW_SAMPLES")])
-def test_five_nominal_samples_are_enough(slow, reason):
+def test_leg_needs_five_nominal_samples(slow, reason):
     row = leg(mach=[0.15] * slow + [0.151] * (6 - slow))
     assert (row["n_nominal"], row["reason"]) == (6 - slow, reason)
 
 
 @pytest.mark.parametrize(("harmful", "reason"), [(0.009, "UNSTEADY"), (0.011, "")])
-def test_a_signal_that_drifts_faster_than_it_may_is_unsteady(harmful, reason):
+def test_drifting_signal_is_unsteady(harmful, reason):
     """A kelvin every hundred seconds."""
     drifting = [replace(c, harmful_per_s=harmful) if c.signal == "tat_k" else c for c in HXT.record.channels]
     unit = replace(HXT, record=replace(HXT.record, channels=tuple(drifting)))
