@@ -19,7 +19,7 @@ def noise(units: int, flights: int, seed: int = 0, spread: float = 0.8) -> NDArr
     return rng.normal(0.0, spread, (units, flights)) + rng.normal(0.0, 3.0, (units, 1))
 
 
-def test_false_calls_stay_within_the_budget_under_heavy_tails_too() -> None:
+def test_false_calls_stay_within_budget() -> None:
     # 200 packs, 1,000 flights each; eleven channels share a budget of one call in 1,000 flights of an aircraft
     calls = walked(noise(200, 1000)).alarm[:, :, 0]
     raised = (calls & ~np.pad(calls, ((0, 0), (1, 0)))[:, :-1]).sum()
@@ -39,7 +39,7 @@ def test_step_is_called_soon(size: float, flights: int) -> None:
     assert called[:, 60 + flights].mean() > 0.9
 
 
-def test_drift_is_called_ageing_not_and_a_fault_that_ends_is_seen_to_end() -> None:
+def test_drift_is_called() -> None:
     flights = np.arange(400)
     drifting = noise(50, 400) + np.where(flights > 100, 0.1 * (flights - 100), 0.0)
     ageing = noise(50, 400) + 0.001 * flights  # 1 K per 1,000 flights
@@ -53,7 +53,7 @@ def test_drift_is_called_ageing_not_and_a_fault_that_ends_is_seen_to_end() -> No
     assert not walked(values, Cusum(clear=0.0)).alarm[:, 199, 0].all()  # a sum at the limit is not above it
 
 
-def test_nothing_leaks_from_the_future_nor_from_a_flight_that_says_nothing() -> None:
+def test_later_flights_change_no_call() -> None:
     values = noise(5, 150)
     values[:, 90:] += 3.0
     whole, part = walked(values), walked(values[:, :100])
@@ -106,7 +106,7 @@ def walked_by_hand(
 
 
 @pytest.mark.parametrize(("seed", "scatter", "memory"), [(0, 0.8, 60), (1, 0.1, 1000), (2, 2.0, 60), (3, 0.8, 60)])
-def test_the_walk_is_that_of_its_rule(seed: int, scatter: float, memory: int) -> None:
+def test_cusum_matches_plain_loop(seed: int, scatter: float, memory: int) -> None:
     rng = np.random.default_rng(seed)
     values = 3.0 + rng.normal(0.0, scatter, 300)
     values[100:130] += 3.0 * max(scatter, 0.6)
@@ -121,7 +121,7 @@ def test_the_walk_is_that_of_its_rule(seed: int, scatter: float, memory: int) ->
 
 
 @pytest.mark.parametrize(("z", "calls_after"), [(3.5, 4), (4.5, 3), (40.0, 3), (1.0, None)])
-def test_delay_of_a_call(z: float, calls_after: int | None) -> None:
+def test_call_delay_follows_shift(z: float, calls_after: int | None) -> None:
     """A shift of z raises the sum by z - 1 a flight, 3.5 at most: it passes 8 with flight 8 / (z - 1), rounded up."""
     values = np.where(np.arange(200) < 100, 0.0, 1.0)
     sd = 0.4 * np.sqrt(1.0 + 1.0 / 100.0)  # never believed below half of the expected scatter
@@ -129,7 +129,7 @@ def test_delay_of_a_call(z: float, calls_after: int | None) -> None:
     assert (int(called.argmax()) - 99 if called.any() else None) == calls_after
 
 
-def test_restart_forgets_the_old_unit_and_persistence_has_hysteresis() -> None:
+def test_restart_forgets_old_unit() -> None:
     values = noise(20, 120)
     values[:, 60:] += 5.0
     new = np.zeros((20, 120, 1), dtype=bool)
@@ -161,7 +161,7 @@ def flight_by_flight(flags: Flags, keep: Flags, ended: Flags, k: int, n: int, ho
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_persistence_all_at_once_is_that_of_flight_by_flight(seed: int) -> None:
+def test_persistence_matches_plain_loop(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for _ in range(60):
         shape, often = (3, int(rng.integers(0, 50))), rng.uniform(0.0, 0.6)

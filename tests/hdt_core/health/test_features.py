@@ -50,7 +50,7 @@ def replaced(nothing_done) -> pl.DataFrame:
     return pl.concat([nothing_done, pl.DataFrame([entry], schema=nothing_done.schema)])
 
 
-def test_slopes_are_least_squares_over_gaps_from_four_values_on(nothing_done) -> None:
+def test_slopes_are_least_squares(nothing_done) -> None:
     loss = np.cumsum(np.random.default_rng(0).normal(0.001, 0.004, 120))
     out = described(health(loss), nothing_done)
     for n in (10, 30, 100):
@@ -65,7 +65,8 @@ def test_slopes_are_least_squares_over_gaps_from_four_values_on(nothing_done) ->
     assert slope.to_list()[3:] == pytest.approx([0.001] * 3)
 
 
-def test_trend_begins_anew_after_an_unlogged_recovery(nothing_done) -> None:
+def test_recovery_restarts_trend(nothing_done) -> None:
+    """Though no log tells of it."""
     loss = 0.001 * np.arange(100.0) - 0.06 * (np.arange(100) >= 60)
 
     last = described(health(loss), nothing_done).row(-1, named=True)
@@ -92,7 +93,7 @@ def late_step(loss: np.ndarray, k: int) -> float:
 
 
 @pytest.mark.parametrize("rate", [-0.003, 0.002, 0.006])
-def test_steps_and_jumps_by_hand(nothing_done, rate) -> None:
+def test_steps_by_hand(nothing_done, rate) -> None:
     loss = rate * np.arange(60.0) + np.random.default_rng(3).normal(0.0, 0.01, 60) + 0.1 * (np.arange(60) >= 45)
     out = described(health(loss), nothing_done)
     step, jump = out["hx_fouling_step_3"].to_list(), out["hx_fouling_jump_10"].to_list()
@@ -102,7 +103,7 @@ def test_steps_and_jumps_by_hand(nothing_done, rate) -> None:
     assert jump[10:] == pytest.approx((loss[10:] - loss[:-10]).tolist())
 
 
-def test_a_step_is_told_from_two_of_three_flights_and_one_alone_moves_first(nothing_done) -> None:
+def test_step_needs_two_of_three_flights(nothing_done) -> None:
     loss = np.full(12, 0.1)
     loss[[8, 10, 11]] = np.nan
     step = described(health(loss), nothing_done)["hx_fouling_step_3"].to_list()
@@ -151,7 +152,7 @@ def test_virtual_sensors_by_hand() -> None:
     assert row["effectiveness_sd"] == pytest.approx(np.hypot(NOISE_SD["hx_out_k"], BIAS_SD["hx_out_k"]) / 150.0)
 
 
-def test_usage_door_and_the_other_pack(nothing_done) -> None:
+def test_features_compare_packs(nothing_done) -> None:
     long = pl.concat([health(np.full(3, 0.2)), health(np.full(3, 0.05), pack=2)])
     checks = (
         legs_of(long)
@@ -171,7 +172,7 @@ def test_usage_door_and_the_other_pack(nothing_done) -> None:
     assert not [name for name in out.columns if name.startswith("other_") or name.endswith("_life")]
 
 
-def test_residual_means_have_their_names_whatever_the_order_of_rows(nothing_done) -> None:
+def test_residual_means_have_names(nothing_done) -> None:
     long = health(np.zeros(1))
     row = long.select("operator", "tail", "flight_id", "pack").row(0, named=True)
     means = (("hx_out_k", "sensor_minus_dsm", 3.0), ("hx_out_k", "d", 5.0), ("x", "d", 4.0))
@@ -188,7 +189,7 @@ def test_residual_means_have_their_names_whatever_the_order_of_rows(nothing_done
     assert described(empty, nothing_done).height == 0
 
 
-def test_a_new_unit_starts_a_new_life_and_nothing_leaks_from_the_future(replaced) -> None:
+def test_new_unit_starts_new_life(replaced) -> None:
     loss = np.where(np.arange(90) < 45, 0.3, 0.0) + 0.001 * np.arange(90)
     out = described(health(loss), replaced)
     day = out["departed_at"].dt.date()
@@ -207,7 +208,8 @@ def test_a_new_unit_starts_a_new_life_and_nothing_leaks_from_the_future(replaced
     assert_frame_equal(whole.filter(early), part, check_exact=False, rel_tol=1e-9, abs_tol=1e-9)
 
 
-def test_the_age_of_a_unit_fitted_before_the_record_begins_is_not_known():
+def test_age_of_first_unit_is_unknown():
+    """Its replacement is in the log, long before the first flight."""
     long = health(np.zeros(9))
     log = pl.DataFrame({"operator": "TST", "tail": "T-AAA", "pack": 1, "component": "HX", "action": "REPLACED"})
     log = log.with_columns(pl.col("pack").cast(pl.Int32), done_on=pl.lit(date(1999, 1, 1)))

@@ -58,7 +58,7 @@ def means(residual_rows: pl.DataFrame, signal: str, kind: str, pack: int) -> np.
     return rows["mean"].to_numpy()
 
 
-def test_residuals_honour_the_contract_and_the_three_add_up(residual_rows) -> None:
+def test_residuals_add_up(residual_rows) -> None:
     assert Residuals.faults(Residuals.conform(residual_rows)) == []
     assert set(residual_rows["kind"]) == set(KINDS)
     assert set(residual_rows["signal"]) == set(SIGNALS)
@@ -76,7 +76,7 @@ def test_residuals_honour_the_contract_and_the_three_add_up(residual_rows) -> No
     assert means(residual_rows, "ram_out_k", "sensor_minus_dsm", 2).max() < -1.0
 
 
-def test_virtual_sensors_obey_the_heat_balance(flown, twin, model) -> None:
+def test_virtual_sensors_obey_heat_balance(flown, twin, model) -> None:
     virtual = virtual_sensors(twin)
     measured = flown.filter("monitored").group_by(KEY).agg(pl.col("ram_out_k").median())
     both = virtual.join(measured, on=KEY)
@@ -89,7 +89,7 @@ def test_virtual_sensors_obey_the_heat_balance(flown, twin, model) -> None:
         assert (both[f"{name}_sd"] > 0).all()
 
 
-def test_statistics_of_a_flight_by_hand() -> None:
+def test_flight_statistics_by_hand() -> None:
     twin = FLIGHT.select(KEY).unique().with_columns(
         ln_ua_ratio=pl.lit(-0.15), diameter_m=pl.lit(0.160), expected_diameter_m=pl.lit(0.163),
         efficiency=pl.lit(0.71), group_m3=pl.lit(9.2e-4),
@@ -125,7 +125,7 @@ def test_statistics_of_a_flight_by_hand() -> None:
             assert row["component"] == ("CC" if signal.startswith("cc_") else "HX")
 
 
-def test_all_three_speak_of_the_samples_that_the_sensor_measured() -> None:
+def test_kinds_share_measured_samples() -> None:
     """A declared component; its fourth reading is missing."""
     time = pl.datetime(2024, 1, 1, time_zone="UTC")
     key = dict(zip(KEY, (pl.lit("TST"), pl.lit("T"), pl.lit("F"), pl.lit(1, pl.Int32)), strict=True))

@@ -22,7 +22,7 @@ def witnesses(samples: pl.DataFrame, pack: int = 1) -> tuple[pl.DataFrame, pl.Da
     return out.head(FROM), out.slice(FROM)
 
 
-def test_a_sound_aircraft_shows_nothing_frozen_and_empty_sensors_do(fly) -> None:
+def test_sound_aircraft_shows_nothing(fly) -> None:
     out = cross_checks(fly(40))
     assert out.height == 80
     assert out["running"].all()
@@ -60,7 +60,7 @@ def first(samples: pl.DataFrame) -> dict[str, object]:
     return cross_checks(samples, LAWS).row(by_predicate=pl.col("pack") == 1, named=True)
 
 
-def test_cross_checks_and_setting_by_hand() -> None:
+def test_cross_checks_by_hand() -> None:
     row, s = first(both_packs()), {name: FLIGHT[name].to_numpy() for name in FLIGHT.columns}
     ln, shape = np.log, np.interp(s["tat_k"], (230.0, 250.0, 300.0), (-10.0, -10.0, 20.0))
     static_pa = 22_632.0 * np.exp(-9.80665 * (s["altitude_m"] - 11_000.0) / (287.053 * 216.65))
@@ -95,7 +95,7 @@ def test_cross_checks_and_setting_by_hand() -> None:
     assert row["door_peg_excess_k"] is None  # where the door is widest it has no authority
 
 
-def test_a_witness_wants_three_samples_level_flight_and_pressures_that_can_be() -> None:
+def test_witness_needs_three_samples() -> None:
     at, both = pl.int_range(pl.len()).over("pack"), both_packs()
     for n_valid, is_computed in ((3, True), (2, False)):
         row = first(both.with_columns(cc_in_k=pl.when(at < n_valid).then("cc_in_k")))
@@ -122,7 +122,7 @@ def test_a_witness_wants_three_samples_level_flight_and_pressures_that_can_be() 
         ("cc_flow_kg_s", "compressor_flow_between_packs_ln"), ("pack_flow_kg_s", "pack_flow_between_packs_ln"),
     ],
 )  # fmt: skip
-def test_a_pack_at_rest_is_no_witness(signal: str, check: str) -> None:
+def test_resting_pack_is_no_witness(signal: str, check: str) -> None:
     for of in (1, 2):
         for flow, is_computed in ((0.2, False), (0.201, True)):
             rest = pl.when(pl.col("pack") == of).then(flow).otherwise(signal)
@@ -131,7 +131,7 @@ def test_a_pack_at_rest_is_no_witness(signal: str, check: str) -> None:
                 assert (value is not None) is is_computed
 
 
-def test_a_sensor_stands_still_from_eight_readings_on_and_empty_ones_are_counted() -> None:
+def test_still_sensor_needs_eight_readings() -> None:
     at = pl.int_range(pl.len())
     times = pl.col("time_utc").first() + pl.duration(minutes=2 * at)
     rows = pl.concat([FLIGHT, FLIGHT]).with_columns(times, source=pl.lit("acms"))
@@ -148,12 +148,12 @@ def test_a_sensor_stands_still_from_eight_readings_on_and_empty_ones_are_counted
 @pytest.mark.parametrize(
     ("pack_flow", "cc_flow", "running"), [(0.2, 0.2, 0), (0.201, 0.0, 1), (0.0, 0.201, 1), (None, 0.3, 1)]
 )
-def test_a_pack_runs_where_one_of_its_flows_says_so(pack_flow, cc_flow, running) -> None:
+def test_either_flow_marks_running_pack(pack_flow, cc_flow, running) -> None:
     flows = {"pack_flow_kg_s": pl.lit(pack_flow, pl.Float64), "cc_flow_kg_s": pl.lit(cc_flow, pl.Float64)}
     assert first(both_packs().with_columns(**flows))["running"] == bool(running)
 
 
-def test_outlet_at_the_stop_against_the_rest() -> None:
+def test_peg_excess_compares_stop() -> None:
     door = pl.Series("ram_door_open", [0.50, 0.49, 0.486, 0.485, 0.3, 0.2] * 2)
     s = both_packs().with_columns(door)
     row = first(s)
@@ -162,7 +162,7 @@ def test_outlet_at_the_stop_against_the_rest() -> None:
     assert row["door_peg_excess_k"] == pytest.approx(np.median(above[:3]) - np.median(above[3:]))
 
 
-def test_a_jam_stands_still_and_leaves_its_target(fly) -> None:
+def test_jammed_door_leaves_target(fly) -> None:
     samples = fly(40)
     noise = 0.005 * (pl.int_range(pl.len()) % 3 - 1)
     door = pl.when(late(samples)).then(0.4 + noise).otherwise(pl.col("ram_door_open")).alias("ram_door_open")
@@ -174,7 +174,7 @@ def test_a_jam_stands_still_and_leaves_its_target(fly) -> None:
     assert after["hx_out_target_sd_k"].min() > 3 * before["hx_out_target_sd_k"].max()
 
 
-def test_a_stop_runs_warm_where_the_door_rests(fly) -> None:
+def test_outlet_runs_warm_at_stop(fly) -> None:
     samples = fly(40)
     stop = 0.19
     lack = (pl.col("ram_door_open") - stop).clip(lower_bound=0.0)
@@ -186,7 +186,7 @@ def test_a_stop_runs_warm_where_the_door_rests(fly) -> None:
     assert after["door_peg_excess_k"].median() > 1.3
 
 
-def test_pack_off_is_no_witness_and_a_lone_pack_keeps_its_own_checks(fly) -> None:
+def test_pack_off_is_no_witness(fly) -> None:
     samples = fly(40)
     off = late(samples)
     flows = [pl.when(off).then(0.0).otherwise(pl.col(c)).alias(c) for c in ("pack_flow_kg_s", "cc_flow_kg_s")]
