@@ -33,7 +33,7 @@ def share(ln_diameter: float = 0.0, speed_rad_s: float = LIMIT_RAD_S, **changed:
     return float(shares[0])
 
 
-def test_at_its_critical_diameter_a_machine_gives_that_flow_at_the_pressure_asked_for():
+def test_critical_diameter_delivers_demand():
     critical, _ = required_diameter(cruise_demand(), FIT, LIMIT_RAD_S)
     speed = np.array(LIMIT_RAD_S)
     for part, ln_diameter in zip(FLOWS, critical[0], strict=True):
@@ -48,7 +48,7 @@ def test_at_its_critical_diameter_a_machine_gives_that_flow_at_the_pressure_aske
         np.testing.assert_allclose(exit_pa, asked_pa, rtol=1e-12)
 
 
-def test_a_smaller_machine_delivers_less_a_higher_limit_leaves_more_up_to_the_bound():
+def test_smaller_machine_delivers_less():
     left = [share(ln_diameter) for ln_diameter in (0.0, -0.03, -0.06, -0.1)]
     assert (np.diff(left) < 0.0).all()
     assert left[-1] > 0.0
@@ -70,7 +70,7 @@ def test_a_smaller_machine_delivers_less_a_higher_limit_leaves_more_up_to_the_bo
 @pytest.mark.parametrize(
     "changed", [{"inlet_k": 262.0}, {"inlet_pa": 26_500.0}, {"no_flow_ln": np.log(88_000.0)}, {"flow_kg_s": 0.85}]
 )
-def test_hotter_thinner_air_more_pressure_and_more_flow_leave_less(changed):
+def test_harder_cruise_leaves_less_flow(changed):
     assert share(-0.05, **changed) < share(-0.05)
 
 
@@ -100,7 +100,7 @@ def widest_kg_s(inlet_k: np.ndarray, inlet_pa: np.ndarray, limit_rad_s: float = 
     return 0.5 * inlet_pa / (287.053 * inlet_k) * limit_rad_s * (9.4e-4 + 3.2e-7 * 420.0)
 
 
-def test_a_flight_asks_for_what_its_hardest_fifth_does(dsm, laws, flight):
+def test_demand_is_of_hardest_fifth(dsm, laws, flight):
     longer = pl.concat([flight] * 6).with_columns(pl.col("altitude_m") + 9.0 * pl.int_range(pl.len()))
     row = compressor_demand(longer, dsm, laws).row(0, named=True)
     rows = compressor_samples(cruise_samples(longer, monitored=False), dsm.pack_table())
@@ -121,7 +121,7 @@ def test_a_flight_asks_for_what_its_hardest_fifth_does(dsm, laws, flight):
 
 
 @pytest.mark.parametrize("limit_rad_s", [4100.0, 4500.0])
-def test_hot_and_high(dsm, laws, flight, limit_rad_s):
+def test_hot_high_demand_by_hand(dsm, laws, flight, limit_rad_s):
     row = compressor_demand(flight, dsm, replace(laws, speed=SpeedLimit(limit_rad_s))).row(0, named=True)
     rows = compressor_samples(cruise_samples(flight, monitored=False), dsm.pack_table())
     at = {c: float(rows[c].median()) for c in ("inlet_k", "inlet_pa", "tat_k", "total_pressure_pa", "altitude_m")}
@@ -139,7 +139,7 @@ def test_hot_and_high(dsm, laws, flight, limit_rad_s):
     assert row["cc_widest_share_hot_high"] == pytest.approx(widest_kg_s(*inlet, limit_rad_s) / flow, rel=1e-5)
 
 
-def test_no_map_limit_cruise_reading_or_model_costs_no_more_than_its_flight(dsm, laws, flight):
+def test_demand_needs_limit(dsm, laws, flight):
     unlimited = replace(laws, speed=SpeedLimit())
     assert compressor_demand(flight, dsm, unlimited).height == 0
     assert compressor_demand(flight.with_columns(phase=pl.lit("climb")), dsm, laws).height == 0
@@ -162,7 +162,7 @@ def test_no_map_limit_cruise_reading_or_model_costs_no_more_than_its_flight(dsm,
 
 
 @pytest.mark.parametrize("name", ["cc_in_pa", "cc_in_k", "vda_counts", "total_pressure_pa", "pack_flow_kg_s"])
-def test_readings_that_cannot_be_cost_no_other_flight(dsm, laws, flight, name):
+def test_impossible_readings_cost_own_flight(dsm, laws, flight, name):
     other = flight.with_columns(flight_id=pl.lit("T-00_001"))
     clean = compressor_demand(other, dsm, laws)
     for value in (0.0, -5000.0, 1e9):

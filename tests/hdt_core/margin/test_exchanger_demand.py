@@ -33,7 +33,7 @@ def cruise(**changed: float) -> dict[str, np.ndarray]:
     return {name: np.array([value]) for name, value in (CRUISE | changed).items()}
 
 
-def test_outlet_with_the_door_full_open_is_the_models_and_nothing_where_speed_reads_none():
+def test_open_door_outlet_is_models():
     outlet = full_open_outlet_k(cruise(), hx.MEAN, np.array([-0.3, 0.0]), np.log(0.8))[0]
     full = cruise(ram_door_open=1.0)
     ram = 0.8 * clean_ram_flow_kg_s(full, hx.MEAN)
@@ -47,7 +47,7 @@ def test_outlet_with_the_door_full_open_is_the_models_and_nothing_where_speed_re
 
 
 @pytest.mark.parametrize("changed", [{"tat_k": 262.0}, {"pack_flow_kg_s": 0.95}, {"hx_in_k": 425.0}])
-def test_hotter_air_more_flow_and_warmer_bleed_take_margin(changed):
+def test_harder_cruise_takes_margin(changed):
     plain, harder = (full_open_outlet_k(cruise(**c), hx.MEAN, np.zeros(1))[0, 0] for c in ({}, changed))
     assert harder > plain
 
@@ -60,7 +60,7 @@ def shape_k(tat_k: np.ndarray) -> np.ndarray:
     return np.interp(tat_k, (230.0, 250.0, 300.0), (-10.0, -10.0, 20.0))
 
 
-def test_a_flight_by_hand(dsm, laws, flight):
+def test_flight_demand_by_hand(dsm, laws, flight):
     row = exchanger_demand(flight, dsm, laws).row(0, named=True)
     s = columns(flight)
     above = s["hx_out_k"] - shape_k(s["tat_k"])
@@ -83,7 +83,7 @@ def test_a_flight_by_hand(dsm, laws, flight):
             assert row[name] == pytest.approx(falls_through(excess[[share]], LN_RATIOS, excess_k)[0], abs=1e-9), name
 
 
-def test_hot_day_and_parts_by_hand(dsm, laws, flight):
+def test_hot_day_by_hand(dsm, laws, flight):
     row = exchanger_demand(flight, dsm, laws).row(0, named=True)
     s = columns(flight)
     middle = {name: np.array([np.median(v)]) for name, v in s.items()}
@@ -107,7 +107,8 @@ def test_hot_day_and_parts_by_hand(dsm, laws, flight):
     assert [row[name] for name in PARTS] == pytest.approx([steps[0], *np.diff(steps)], abs=1e-9)
 
 
-def test_a_level_is_the_flights_own_from_two_samples_on_and_else_the_packs(dsm, laws, flight):
+def test_own_level_needs_two_samples(dsm, laws, flight):
+    """Else the pack's level stands."""
     door = pl.when(pl.col("ram_door_open") == 0.95).then(1.0).otherwise("ram_door_open")
     two = exchanger_demand(flight.with_columns(door.alias("ram_door_open")), dsm, laws)
     assert two["held_status"].to_list() == ["flight"]
@@ -117,7 +118,7 @@ def test_a_level_is_the_flights_own_from_two_samples_on_and_else_the_packs(dsm, 
     assert one["held_k"][0] == pytest.approx(302.0 + np.median(shape_k(flight["tat_k"].to_numpy())))
 
 
-def test_low_flight_a_pack_at_rest_and_a_gap_ask_nothing(dsm, laws, flight):
+def test_low_flight_asks_nothing(dsm, laws, flight):
     at = pl.int_range(pl.len())
     for rest in (
         flight.with_columns(altitude_m=pl.when(at == 0).then(4572.0).otherwise("altitude_m")),
@@ -131,7 +132,7 @@ def test_low_flight_a_pack_at_rest_and_a_gap_ask_nothing(dsm, laws, flight):
     assert (none["high_n"], none["held_status"], none[CRITICAL[0]]) == (0, "unknown", None)
 
 
-def test_without_a_ram_outlet_blockage_is_unknown_and_an_unmet_pack_has_sound_sensors(dsm, laws, flight):
+def test_blockage_needs_ram_outlet(dsm, laws, flight):
     row = exchanger_demand(flight.with_columns(ram_out_k=pl.lit(None, pl.Float64)), dsm, laws).row(0, named=True)
     assert row["hx_margin_blockage_k"] is None
     assert row["hx_margin_ambient_k"] == exchanger_demand(flight, dsm, laws)["hx_margin_ambient_k"][0]
@@ -141,7 +142,7 @@ def test_without_a_ram_outlet_blockage_is_unknown_and_an_unmet_pack_has_sound_se
     assert stranger[CRITICAL[2]].to_list() == pytest.approx(known[CRITICAL[2]].to_list())
 
 
-def test_between_stored_ratios_the_outlet_is_a_straight_line_to_a_quarter_of_a_kelvin():
+def test_stored_ratios_interpolate_well():
     """To a twentieth where exchangers work; the columns' names tell share and excess."""
     assert (exchanger_demand_module.LN_RATIOS[0], exchanger_demand_module.LN_RATIOS[-1]) == (-1.2, 0.6)
     off = []

@@ -50,7 +50,7 @@ def passage_by_hand(ratio: float, sd: float, levels: list[float], rate: float, r
 LEVELS = [-0.60, -0.50, -0.46, -0.44, -0.42, -0.38]
 
 
-def test_passage_is_its_formula_and_the_share_of_lives_that_met_it():
+def test_passage_matches_formula():
     for ratio, sd, rate, rate_sd in ((-0.3, 0.012, 0.0008, 0.0005), (-0.25, 0.04, 0.0002, 0.001)):
         one = np.ones(1)
         by = passage(ratio * one, sd * one, np.array([LEVELS]), rate * one, rate_sd * one, np.array(EDGES))[0]
@@ -70,7 +70,7 @@ def test_passage_is_its_formula_and_the_share_of_lives_that_met_it():
 
 
 @pytest.mark.parametrize("flights", [2.0, 3.0, 20.0, 60.0])
-def test_a_slope_counts_by_its_variance(flights):
+def test_slope_counts_by_variance(flights):
     rate, sd = wear_rate(np.array([0.005]), np.array([flights]))
     assert (rate[0], sd[0]) == pytest.approx(rate_by_hand(0.005, flights), rel=1e-9)
     other = wear_rate(np.array([0.005]), np.array([flights]), 0.003, 0.0004)
@@ -83,7 +83,7 @@ def one_pack(**columns: list[float | None]) -> pl.DataFrame:
     return pl.DataFrame(own | columns)
 
 
-def test_passages_of_a_pack_by_the_rule_before_any_message():
+def test_passages_follow_message_rule():
     flights = one_pack(
         hx_ln_ua_ratio=[-0.05, 0.15, 0.20, 0.10], hx_fouling=[0.1, 0.1, 0.9, 0.2],
         hx_fouling_slope_100_per_flight=[0.001, None, 0.0004, 0.0006], flights_since_drop=[5, 50, 29, 200],
@@ -105,7 +105,7 @@ def test_passages_of_a_pack_by_the_rule_before_any_message():
         assert hand[4] < 0.9
 
 
-def test_no_flight_no_passage_no_trend_before_140_and_few_stand_for_the_window():
+def test_trend_needs_140_flights():
     columns = {"hx_ln_ua_ratio": [0.0], "hx_fouling": [0.0], "hx_fouling_slope_100_per_flight": [0.0]}
     none = one_pack(**columns, flights_since_drop=[1]).clear()
     keys = none.select("operator", "tail", "pack", "flight_id")
@@ -136,7 +136,8 @@ def of_flight(critical: np.ndarray, flight: int) -> list[float]:
     return [float(values[name][0]) for name in DEMAND_NAMES]
 
 
-def test_quantiles_of_150_flights_and_of_40_and_the_trend_over_100():
+def test_demand_quantiles_by_hand():
+    """Windows of 150 and of 40 flights, a trend over 100."""
     critical = np.random.default_rng(4).permutation(400) / 100.0
     window, recent = np.sort(critical[201:351]), np.sort(critical[311:351])
     quantiles = [window[i] for i in (74, 119, 134, 142, 146, 149)] + [recent[i] for i in (20, 35)]
@@ -147,7 +148,7 @@ def test_quantiles_of_150_flights_and_of_40_and_the_trend_over_100():
 RAM_K = 1.0 + 0.2 * 0.84**2
 
 
-def test_reference_cruise_is_11_km_at_mach_84_another_level_has_its_pressure_and_a_hot_day_15_k():
+def test_reference_cruise_is_standard():
     air = {name: values.tolist() for name, values in reference_air(2).items()}
     assert air["altitude_m"] == [11_000.0] * 2
     assert air["mach"] == [0.84] * 2
@@ -160,7 +161,7 @@ def test_reference_cruise_is_11_km_at_mach_84_another_level_has_its_pressure_and
     assert hot[0] == pytest.approx((standard_k + 15.0) * (1.0 + 0.2 * 0.8**2))
 
 
-def test_flights_of_unknown_demand_do_not_count():
+def test_unknown_demand_does_not_count():
     demand = np.random.default_rng(3).uniform(-0.5, 0.0, 60)
     with_gap = np.r_[demand, np.full(80, np.nan)]
 

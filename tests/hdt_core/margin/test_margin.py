@@ -33,7 +33,7 @@ def margin(ratio: float | None = 0.108, target_source: str = "flight") -> dict[s
     return exchanger_margin(wide, demand).row(0, named=True)
 
 
-def test_exchanger_margin_is_what_the_conductance_left_is_worth_beside_its_levels_doubt():
+def test_exchanger_margin_by_hand():
     row = margin()
     assert row["hx_ln_ua_ratio"] == pytest.approx(0.108)
     assert row["hx_margin_k"] == pytest.approx(0.208 / 0.026)
@@ -58,7 +58,7 @@ def ratios(loss: list[float], ratio: list[float | None], life: list[int]) -> lis
     return frame.select(ln_ratio_margin(pl.col("seen"), "loss", "life"))[:, 0].to_list()
 
 
-def test_what_is_left_is_the_units_own_level_less_its_wear_up_to_where_map_or_speed_end():
+def test_ratio_is_level_less_wear():
     level = [0.001 * k for k in range(40)]
     left = ratios([0.1] * 40, [v + log(0.9) for v in level], [0] * 40)
     assert left[4] == pytest.approx(0.002 + log(0.9))  # median of what there is
@@ -94,7 +94,7 @@ def delivery(*, loss: float = 0.04, limit_met: bool = True, widest: float = 2.0)
     return compressor_margin(wide, demand).row(0, named=True)
 
 
-def test_compressor_margin_is_the_flow_beyond_what_is_asked():
+def test_compressor_margin_by_hand():
     row, left = delivery(), log(0.96)
     hard, hot = (0.8 * ((left + at) / 0.2 - 1.0) for at in (0.30, 0.26))
     sd = 0.8 / 0.2 * hypot(0.006, 0.0025)
@@ -110,8 +110,9 @@ def test_compressor_margin_is_the_flow_beyond_what_is_asked():
 
 
 @pytest.mark.parametrize(("value", "at"), [(3.0, 0.5), (1.5, 2.0), (2.0, 1.0), (5.0, -0.5), (0.5, 4.0)])
-def test_a_falling_curve_comes_down_to_a_value_between_two_points_or_beyond_them(value, at):
+def test_falling_curve_is_inverted(value, at):
     # 4 at 0, 2 at 1, 1 at 3
+    """Between two points and beyond them."""
     assert falls_through(np.array([[4.0, 2.0, 1.0]]), np.array([0.0, 1.0, 3.0]), value)[0] == pytest.approx(at)
 
 
@@ -119,7 +120,7 @@ def test_a_falling_curve_comes_down_to_a_value_between_two_points_or_beyond_them
     ("at", "value", "slope"),
     [(0.5, 15.0, 10.0), (2.0, 40.0, 20.0), (1.0, 20.0, 10.0), (-1.0, 0.0, 10.0), (5.0, 100.0, 20.0)],
 )
-def test_values_over_a_rising_grid(at, value, slope):
+def test_rising_grid_is_interpolated(at, value, slope):
     # 10 at 0, 20 at 1, 60 at 3
     read = read_across(np.array([[0.0, 1.0, 3.0]]), np.array([10.0, 20.0, 60.0]), np.array([at]))
     assert [float(r[0]) for r in read] == pytest.approx([value, slope])
@@ -128,6 +129,6 @@ def test_values_over_a_rising_grid(at, value, slope):
 @pytest.mark.parametrize(
     ("excess_k", "value"), [(-25.0, -0.5), (-15.0, 0.5), (0.0, 4.0), (3.0, 7.0), (7.0, 11.8), (12.0, 18.8)]
 )
-def test_a_curve_over_the_excesses(excess_k, value):
+def test_curve_over_excesses(excess_k, value):
     # 0, 1, 4, 9, 16 at -20, -10, 0, 5, 10 K
     assert at_excess(np.array([[0.0, 1.0, 4.0, 9.0, 16.0]]), excess_k)[0] == pytest.approx(value)
