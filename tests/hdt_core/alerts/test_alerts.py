@@ -92,9 +92,7 @@ def test_fouling_raises_one_alert(samples, nothing_done) -> None:
     assert alerts_of(both, health, nothing_done)["operator"].to_list() == ["TST", "TSU"]
 
 
-def test_clog_is_raised_within_three_flights(
-    samples, nothing_done
-) -> None:
+def test_clog_is_raised_within_three_flights(samples, nothing_done) -> None:
     loss = np.where(np.arange(FLIGHTS) >= 60, 0.32, 0.04)
     out = alerts_of(samples, track(samples, {2: loss}), nothing_done)
     assert out["diagnosis"].to_list() == ["HX_SUDDEN_CLOG"]
@@ -145,9 +143,7 @@ def test_shifted_sensor_is_named(samples, nothing_done, signal: str, change: flo
     assert when(samples, 50) <= out["raised_at"][0] <= when(samples, 50 + within)
 
 
-def test_sensor_fault_leaves_other_packs_wear(
-    samples, nothing_done
-) -> None:
+def test_sensor_fault_leaves_other_packs_wear(samples, nothing_done) -> None:
     hit = fault(samples, 2, 40)
     shifted = samples.with_columns(pl.when(hit).then(pl.col("hx_out_k") - 4.0).otherwise("hx_out_k").alias("hx_out_k"))
     worn = np.clip(0.01 * (np.arange(FLIGHTS) - 45), 0.0, 0.2)

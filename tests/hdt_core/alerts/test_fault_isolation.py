@@ -128,6 +128,7 @@ def test_sensor_is_named_at_95_percent(monkeypatch) -> None:
 )
 def test_other_packs_sensor_ends_search(monkeypatch, p, from_flight, name) -> None:
     """From the sixth flight on, at a probability of 99 %."""
+
     def classify(k: int) -> list[tuple[str, str, float]]:
         theirs = p if (from_flight <= k < from_flight + 1 or from_flight == 20) and k < 40 else 0.0
         return [("mach", "other", theirs), ("hx", "other", 0.0), ("tat_k", "own", 0.96 if k >= 40 else 0.0)]
