@@ -6,11 +6,11 @@ import pytest
 
 from hdt_core.alerts.facts import CompressorFacts, DoorFacts
 
-LOST = {"cc_efficiency_loss": 0.1}
+LATEST = {"cc_efficiency_loss": 0.1}
 
 
 def latest(name: str) -> float:
-    return LOST.get(name, math.nan)
+    return LATEST.get(name, math.nan)
 
 
 def test_facts_join_features_with_case():
