@@ -12,21 +12,35 @@ from hdt_core.alerts.cases import UNOBSERVED, Grid, Limits
 from hdt_core.components import components
 
 
+def grid_of(*flown: tuple[str, int, float]) -> Grid:
+    """Flight, pack and x of each leg."""
+    rows = pl.DataFrame(flown, schema={"flight_id": pl.String, "pack": pl.Int32, "x": pl.Float64}, orient="row")
+    day = pl.col("flight_id").str.slice(1).cast(pl.Int64)
+    departed_at = datetime(2024, 1, 1, tzinfo=UTC) + day * timedelta(days=1)
+    return Grid.from_frame(rows.with_columns(departed_at=departed_at, operator=pl.lit("TST"), tail=pl.lit("T-1")))
+
+
+LEGS = (("F1", 1, 1.0), ("F1", 2, 2.0), ("F2", 1, 3.0), ("F3", 1, 5.0), ("F3", 2, 6.0))
+
+
 def test_across_reads_other_pack() -> None:
-    flown = [("F1", 1, 1.0), ("F1", 2, 2.0), ("F2", 1, 3.0), ("F3", 1, 5.0), ("F3", 2, 6.0)]
-    rows = pl.DataFrame(flown, schema=["flight_id", "pack", "x"], orient="row").with_columns(
-        pl.col("pack").cast(pl.Int32),
-        departed_at=pl.Series([datetime(2024, 1, 1, tzinfo=UTC) + timedelta(days=int(f[1])) for f, *_ in flown]),
-        operator=pl.lit("TST"),
-        tail=pl.lit("T-1"),
-    )
-    grid = Grid.from_frame(rows)
+    grid = grid_of(*LEGS)
     np.testing.assert_array_equal(grid.across(grid.values("x")), [[2.0, np.nan, 6.0], [1.0, 5.0, np.nan]])
     assert grid.across(grid.values("x") > 2.0).tolist() == [[False, False, True], [False, True, False]]
-    one = Grid.from_frame(rows.head(1))
-    assert (one.shape, one.is_flight.tolist(), one.partner().tolist()) == ((1, 1), [[True]], [-1])
-    assert Grid.from_frame(rows.clear()).shape == (0, 0)
+
+
+def test_grid_counts_flights_of_packs() -> None:
+    grid = grid_of(*LEGS)
     assert (grid.partner().tolist(), grid.count(0), grid.count(1)) == ([1, 0], 3, 2)
+
+
+def test_lone_pack_has_no_partner() -> None:
+    one = grid_of(LEGS[0])
+    assert (one.shape, one.is_flight.tolist(), one.partner().tolist()) == ((1, 1), [[True]], [-1])
+
+
+def test_grid_of_no_flights_is_empty() -> None:
+    assert grid_of().shape == (0, 0)
 
 
 N = 40
@@ -53,6 +67,9 @@ def test_partly_observed_wear_raises_alert():
         status(np.arange(N) % 2 == 0).alias("hx_fouling_status"), hx_fouling_step_3=pl.lit(0.0)
     )
     assert alerts(worn, NO_WORK)["diagnosis"].to_list() == ["HX_FOULING"]
+
+
+def test_unobserved_next_unit_raises_nothing():
     observed = np.arange(N) < 20
     worn = features(np.full(N, 0.3)).with_columns(
         status(observed).alias("hx_fouling_status"),
@@ -84,9 +101,8 @@ def test_unobserved_component_loss_raises_nothing(loss_status, raised):
 
 
 def test_flags_carry_from_observed_flight():
-    frame = features(np.zeros(6)).with_columns(
-        status(np.array([False, True, False, True, False, False])).alias("hx_fouling_status")
-    )
-    grid = Grid.from_frame(frame)
-    flags, ended = np.array([[1, 0, 1, 1, 0, 0]], dtype=bool), np.array([[0, 0, 0, 0, 0, 1]], dtype=bool)
+    by_flight = status(np.array([False, True, False, True, False, False])).alias("hx_fouling_status")
+    grid = Grid.from_frame(features(np.zeros(6)).with_columns(by_flight))
+    flags = np.array([[1, 0, 1, 1, 0, 0]], dtype=bool)
+    ended = np.array([[0, 0, 0, 0, 0, 1]], dtype=bool)
     assert grid.as_observed(flags, "hx_fouling", ended).astype(int).tolist() == [[0, 0, 0, 1, 1, 0]]

@@ -1,6 +1,5 @@
 """Alerts of a pack without reserve though hardly worn, and of a declared component by its declaration alone."""
 
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.stats import norm
 
 from hdt_core.alerts.alerts import component_features, diagnosis_of, raise_alerts, raise_component_alerts
 from hdt_core.alerts.cases import Limits
+from hdt_core.alerts.evidence import Evidence
 from hdt_core.alerts.facts import LossFacts
 from hdt_core.components import components
 
@@ -18,6 +18,7 @@ SHORT = 40
 
 
 def fleet(passage: float, loss: float, flights: int = SHORT) -> pl.DataFrame:
+    """One pack, sound for ten flights; then of so much loss, and so likely to bring a message within 300."""
     start = datetime(2024, 5, 1, 6, tzinfo=UTC)
     at = [start + timedelta(hours=8 * k) for k in range(flights)]
     rows = pl.DataFrame({"departed_at": at, "flight_id": [f"LX-T01_{d:%Y%m%d}_{d.hour // 8 + 1:02d}" for d in at]})
@@ -36,6 +37,12 @@ def fleet(passage: float, loss: float, flights: int = SHORT) -> pl.DataFrame:
     )  # fmt: skip
 
 
+def work_at(flights: pl.DataFrame, index: int, action: str) -> pl.DataFrame:
+    """Work on the exchanger on the day of a flight."""
+    row = ("XXX", "LX-T01", 1, flights["departed_at"][index].date(), "HX", action)
+    return pl.DataFrame([row], LOG.schema, orient="row")
+
+
 LOG = pl.DataFrame(
     schema={
         "operator": pl.String, "tail": pl.String, "pack": pl.Int32, "done_on": pl.Date, "component": pl.String,
@@ -50,31 +57,24 @@ def hx(alerts: pl.DataFrame) -> list[str]:
 
 def test_low_margin_is_its_own_diagnosis():
     cases = raise_alerts(fleet(0.97, 0.04), LOG)
-    assert hx(cases) == ["HX_LOW_MARGIN"]
     row = cases.row(0, named=True)
-    assert "2 K above its level" in row["evidence"]
-    assert "7 K above it on a hot day" in row["evidence"]
-    assert "air outside -8 K" in row["evidence"]
+    assert hx(cases) == ["HX_LOW_MARGIN"]
+    for words in ("2 K above its level", "7 K above it on a hot day", "air outside -8 K"):
+        assert words in row["evidence"]
     assert "a new exchanger alone does not remove the cause" in row["recommended_action"]
     assert row["closed_at"] is None
+
+
+def test_worn_exchanger_is_diagnosed_as_worn():
     assert hx(raise_alerts(fleet(0.97, 0.25), LOG)) == ["HX_FOULING"]
 
 
 def test_new_unit_closes_low_margin():
+    """The next unit has as little reserve, and its message may come within twenty flights."""
     flights = fleet(0.97, 0.04)
-    done = flights["departed_at"][25].date()
-    log = pl.DataFrame(
-        {
-            "operator": ["XXX"], "tail": ["LX-T01"], "pack": [1], "done_on": [done], "component": ["HX"],
-            "action": ["REPLACED"],
-        },
-        schema=LOG.schema,
-    )  # fmt: skip
-    cases = raise_alerts(flights, log).filter(diagnosis="HX_LOW_MARGIN").sort("raised_at")
-    assert cases["closed_at"][0] is not None
-    assert cases["closed_at"][0].date() > done
-    # the next unit has as little reserve, and its message may come within twenty flights
-    assert cases["raised_at"].to_list()[1] - cases["closed_at"][0] <= timedelta(hours=8 * 7)
+    cases = raise_alerts(flights, work_at(flights, 25, "REPLACED")).filter(diagnosis="HX_LOW_MARGIN").sort("raised_at")
+    assert cases["closed_at"][0].date() > flights["departed_at"][25].date()
+    assert cases["raised_at"][1] - cases["closed_at"][0] <= timedelta(hours=8 * 7)
 
 
 def two_hot_weeks(later_loss: float = 0.04) -> pl.DataFrame:
@@ -86,30 +86,27 @@ def two_hot_weeks(later_loss: float = 0.04) -> pl.DataFrame:
     return flights.with_columns(hx_fouling=loss, hx_fouling_flight=loss, hx_passage_300=soon)
 
 
-def between(flights: pl.DataFrame, action: str) -> pl.DataFrame:
-    done = flights["departed_at"][45].date()
-    return pl.DataFrame([("XXX", "LX-T01", 1, done, "HX", action)], schema=LOG.schema, orient="row")
-
-
 @pytest.mark.parametrize(("action", "n_cases"), [("INSPECTED", 1), ("CLEANED", 1), ("REPLACED", 2)])
-def test_low_margin_by_design_is_reported_once(action, n_cases):
+def test_low_margin_is_reported_once(action, n_cases):
+    """It is by design until there is another unit."""
     flights = two_hot_weeks()
 
-    cases = raise_alerts(flights, between(flights, action))
+    cases = raise_alerts(flights, work_at(flights, 45, action))
 
     assert hx(cases) == ["HX_LOW_MARGIN"] * n_cases
 
 
-def test_low_margin_is_reported_again_once_worn():
+def test_wear_reports_low_margin_again():
     flights = two_hot_weeks(later_loss=0.08)
 
-    cases = raise_alerts(flights, between(flights, "CLEANED"))
+    cases = raise_alerts(flights, work_at(flights, 45, "CLEANED"))
 
     assert cases["raised_at"].to_list()[1:] == [flights["departed_at"][70]]
 
 
 UNIT = components()["HXT"]
-WARN, FAILS = UNIT.warn_loss, UNIT.limit.mean
+WARN = UNIT.warn_loss
+FAILS = UNIT.limit.mean
 FLIGHT = np.arange(FLIGHTS)
 NOTHING = work(departure(0), UNIT.code).clear()
 
@@ -125,45 +122,63 @@ def alerts(loss: object, log: pl.DataFrame = NOTHING, **more: object) -> pl.Data
 
 @pytest.mark.parametrize(("odds", "raised"), [(0.701, 1), (0.699, 0)])
 def test_component_alert_needs_seventy_percent(odds, raised):
-    cases = alerts(WARN + 0.01 * norm.ppf(odds))
-    assert cases["diagnosis"].to_list() == [UNIT.diagnosis] * raised
-    assert cases["raised_flight_id"].to_list() == ["F002"] * raised
-    assert cases["component"].to_list() == [UNIT.code] * raised
+    cases = alerts(WARN + 0.01 * norm.ppf(odds)).select("diagnosis", "raised_flight_id", "component")
+    assert cases.rows() == [(UNIT.diagnosis, "F002", UNIT.code)] * raised
 
 
-def test_component_alert_persists_fifteen_flights():
-    for after, closed in ((0.749, 54), (0.75, 54), (0.751, None)):
-        cases = alerts(np.where(FLIGHT < 40, 2.0 * WARN, after * WARN))
-        assert cases["closed_at"].to_list() == [departure(closed) if closed else None]
-    gap = np.where(np.isin(FLIGHT, (30, 32, 33)), 2.0 * WARN, 0.0)
-    assert alerts(gap)["raised_flight_id"].to_list() == ["F033"]
-    assert alerts(np.where(np.isin(FLIGHT, (30, 32, 34)), 2.0 * WARN, 0.0)).height == 0
-    assert "since F030" in alerts(gap)["evidence"][0]
+@pytest.mark.parametrize(("after", "closed"), [(0.749, departure(54)), (0.75, departure(54)), (0.751, None)])
+def test_component_alert_persists_fifteen_flights(after, closed):
+    """After its loss fell to three quarters of the warning."""
+    cases = alerts(np.where(FLIGHT < 40, 2.0 * WARN, after * WARN))
+    assert cases["closed_at"].to_list() == [closed]
+
+
+@pytest.mark.parametrize(("flights", "raised"), [((30, 32, 33), ["F033"]), ((30, 32, 34), [])])
+def test_component_alert_needs_three_flights(flights, raised):
+    """Of four."""
+    cases = alerts(np.where(np.isin(FLIGHT, flights), 2.0 * WARN, 0.0))
+    assert cases["raised_flight_id"].to_list() == raised
+
+
+@pytest.mark.parametrize(("flights", "first"), [((30, 32, 33), "F030"), ((0, 1, 2), "F000")])
+def test_component_evidence_states_first_flight(flights, first):
+    assert f"since {first}" in alerts(np.where(np.isin(FLIGHT, flights), 2.0 * WARN, 0.0))["evidence"][0]
+
+
+def test_work_closes_component_alert():
     cases = alerts(2.0 * WARN, work_before(50, UNIT.code, UNIT.ended_by[0]))
-    assert cases["closed_at"].to_list() == [departure(50), None]
-    assert cases["raised_flight_id"].to_list() == ["F002", "F052"]
+    assert cases.select("raised_flight_id", "closed_at").rows() == [("F002", departure(50)), ("F052", None)]
+
+
+def test_other_component_raises_nothing():
     others = described(0.0).with_columns(component=pl.lit("OTHER"))
     assert raise_component_alerts(others, NOTHING, UNIT, Limits()).height == 0
-    early = alerts(np.where(FLIGHT < 3, 2.0 * WARN, 0.0))
-    assert "since F000" in early["evidence"][0]
 
 
-def test_component_evidence_states_figures():
-    diagnosis = diagnosis_of(UNIT, Limits())
-    for loss, severity in ((0.79 * FAILS, "medium"), (0.81 * FAILS, "high")):
-        facts = LossFacts(loss=loss, loss_sd=0.01, loss_slope_30_per_flight=0.0021, loss_step_3=0.101)
-        assert diagnosis.severity(facts) == severity
-        evidence = diagnosis.evidence(facts, "F07")
-        assert [w.role for w in evidence.corroborations] == ["Supports" if severity == "high" else "Neutral", "Neutral"]
-        text = evidence.text()
-        assert f"{UNIT.lost} ({UNIT.loss}) {100 * loss:.0f} %" in text
-        assert f"{loss / 0.01:.0f} times its uncertainty; above {100 * WARN:.0f} % since F07" in text
-        assert "2.1 points more every ten flights" in text
-        assert "10 points came within three flights" in text
-        assert f"it fails at about {100 * FAILS:.0f} %" in text
-    calm = LossFacts(loss=0.3, loss_sd=0.0, loss_slope_30_per_flight=1e-5, loss_step_3=0.1)
-    assert "points" not in diagnosis.evidence(calm, "F07").text()
-    assert "points" not in diagnosis.evidence(replace(calm, loss_step_3=float("nan")), "F07").text()
+def evidence_of(**facts: float) -> Evidence:
+    return diagnosis_of(UNIT, Limits()).evidence(LossFacts(**facts), "F07")
+
+
+@pytest.mark.parametrize(
+    ("loss", "severity", "role"), [(0.79 * FAILS, "medium", "Neutral"), (0.81 * FAILS, "high", "Supports")]
+)
+def test_component_evidence_states_figures(loss, severity, role):
+    facts = {"loss": loss, "loss_sd": 0.01, "loss_slope_30_per_flight": 0.0021, "loss_step_3": 0.101}
+    evidence = evidence_of(**facts)
+    assert diagnosis_of(UNIT, Limits()).severity(LossFacts(**facts)) == severity
+    assert [w.role for w in evidence.corroborations] == [role, "Neutral"]
+    for words in (
+        f"{UNIT.lost} ({UNIT.loss}) {100 * loss:.0f} %", "2.1 points more every ten flights",
+        f"{loss / 0.01:.0f} times its uncertainty; above {100 * WARN:.0f} % since F07",
+        "10 points came within three flights", f"it fails at about {100 * FAILS:.0f} %",
+    ):  # fmt: skip
+        assert words in evidence.text()
+
+
+@pytest.mark.parametrize("step", [0.1, float("nan")])
+def test_steady_loss_states_no_points(step):
+    calm = evidence_of(loss=0.3, loss_sd=0.0, loss_slope_30_per_flight=1e-5, loss_step_3=step)
+    assert "points" not in calm.text()
 
 
 def test_component_features_share_one_name():
@@ -177,7 +192,7 @@ def test_component_features_share_one_name():
     }  # fmt: skip
     none = pl.DataFrame(schema=schema | {"signal": pl.String, "kind": pl.String, "mean": pl.Float64})
     rows = component_features(pl.concat([long, other]), none, long, NOTHING, UNIT)
+    latest = rows.row(-1, named=True)
     assert rows["loss"].to_list() == pytest.approx((0.001 * FLIGHT).tolist())
-    assert rows["loss_slope_30_per_flight"][-1] == pytest.approx(0.001)
-    assert rows["loss_jump_10"][-1] == pytest.approx(0.01)
+    assert (latest["loss_slope_30_per_flight"], latest["loss_jump_10"]) == pytest.approx((0.001, 0.01))
     assert set(rows["component"]) == {UNIT.code}
