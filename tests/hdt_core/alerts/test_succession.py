@@ -66,8 +66,8 @@ def cases(log: list[dict], now: list[dict]) -> dict[str, tuple[str, str]]:
     ],
 )
 def test_case_follows_nearest_alert(nights: list[list[Span]], expected: dict[str, str]) -> None:
-    made = [alerts(*spans) for spans in nights]
-    names = cases(log_of(*made), made[-1])
+    alerts_by_night = [alerts(*spans) for spans in nights]
+    names = cases(log_of(*alerts_by_night), alerts_by_night[-1])
     assert {alert_id: case_id for case_id, alert_id in names.values()} == expected
 
 
@@ -75,7 +75,8 @@ def test_case_follows_nearest_alert(nights: list[list[Span]], expected: dict[str
     "other", [{"pack": 2}, {"diagnosis": "HX_LOW_MARGIN"}, {"sensor": "hx_out_k"}, {"tail": "T-2"}]
 )
 def test_other_trouble_is_another_case(other: dict) -> None:
-    before, now = alerts((9, None), sensor="hx_in_k"), alerts((8, None), **{"sensor": "hx_in_k"} | other)
+    before = alerts((9, None), sensor="hx_in_k")
+    now = alerts((8, None), **{"sensor": "hx_in_k"} | other)
     assert cases(log_of(before, now), now) == {"day 8": ("day 8", "day 8")}
 
 
@@ -97,9 +98,8 @@ nights = st.lists(st.lists(spans, max_size=3, unique_by=lambda s: s[0]), min_siz
 @example(moves=[[(0, None)], [(3, 4)], [(0, 1)], [(2, None)]])
 @given(nights)
 def test_cases_stay_one_to_one(moves: list[list[Span]]) -> None:
-    made = [alerts(*night) for night in moves]
     log: list[dict] = []
-    for before, now in pairwise(made):
+    for before, now in pairwise(alerts(*night) for night in moves):
         earlier = cases(log, before)
         log += added(log, before, now)
         names = cases(log, now)
