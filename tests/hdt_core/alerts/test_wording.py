@@ -2,13 +2,13 @@
 
 from dataclasses import MISSING, fields
 
-import numpy as np
 import pytest
 from scipy.stats import norm
 
 from hdt_core.alerts import evidence as wording
 from hdt_core.alerts.cases import FAILS_AT
 from hdt_core.alerts.diagnoses import DIAGNOSES
+from hdt_core.alerts.evidence import Evidence
 from hdt_core.alerts.facts import CompressorFacts, DoorFacts, ExchangerFacts, Facts, MarginFacts, SensorFacts
 
 NAN = float("nan")
@@ -19,28 +19,46 @@ WORN = {
 }  # fmt: skip
 
 
-def of(record: type[Facts], known: dict):
+def record_of(record: type[Facts], facts: dict):
     """A record of which nothing else is known."""
     needed = (f.name for f in fields(record) if f.default is MISSING)
-    return record(**(dict.fromkeys(needed, NAN) | known))
+    return record(**(dict.fromkeys(needed, NAN) | facts))
 
 
-def text(rule, **changed: object) -> str:
-    return rule(of(ExchangerFacts, WORN | changed), "F07").text()
+def worn(rule=wording.exchanger, **changed: object) -> Evidence:
+    return rule(record_of(ExchangerFacts, WORN | changed), "F07")
 
 
-def test_fouling_evidence_states_figures():
-    message = text(wording.exchanger)
-    # 90 % interval: 1.645 deviations on either side
-    assert "(hx_fouling) 25 % (22 to 28), 12 times its uncertainty; above 5 % since F07, and with" in message
-    assert "probability above 0.99" in message
-    assert "; 2.1 points more every ten flights" in message
-    assert "its last ten flights" not in message
-    assert "its last ten flights alone lost 30 points more" in text(wording.exchanger, gained=0.296)
-    assert "points more every" not in text(wording.exchanger, hx_fouling_slope_30_per_flight=9e-6)
-    assert "12 points of it within three flights" in text(wording.clog)
-    sure = text(wording.exchanger, hx_fouling=0.07)
-    assert f"with probability {norm.cdf(1.0):.2f}" in sure
+@pytest.mark.parametrize(
+    ("rule", "changed", "words"),
+    [
+        # 90 % interval: 1.645 deviations on either side
+        (
+            wording.exchanger,
+            {},
+            "(hx_fouling) 25 % (22 to 28), 12 times its uncertainty; above 5 % since F07, and with",
+        ),
+        (wording.exchanger, {}, "probability above 0.99"),
+        (wording.exchanger, {"hx_fouling": 0.07}, f"with probability {norm.cdf(1.0):.2f}"),
+        (wording.exchanger, {}, "; 2.1 points more every ten flights"),
+        (wording.exchanger, {"gained": 0.296}, "its last ten flights alone lost 30 points more"),
+        (wording.clog, {}, "12 points of it within three flights"),
+    ],
+)
+def test_fouling_evidence_states_figures(rule, changed, words):
+    assert words in worn(rule, **changed).text()
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({}, "its last ten flights"), ({"hx_fouling_slope_30_per_flight": 9e-6}, "points more every"),
+        ({"hx_fouling_between_packs": 0.05}, "wider"), ({"hx_fouling_between_packs": 0.05}, "as wide"),
+        ({"door_median_between_packs": NAN}, "wider"), ({"door_median_between_packs": NAN}, "as wide"),
+    ],
+)  # fmt: skip
+def test_fouling_evidence_omits_small_differences(changed, words):
+    assert words not in worn(**changed).text()
 
 
 @pytest.mark.parametrize(
@@ -59,124 +77,211 @@ def test_fouling_evidence_states_figures():
     ],
 )
 def test_witness_role_changes_at_edge(changed, role, words):
-    witnesses = wording.exchanger(of(ExchangerFacts, WORN | changed), "F07").corroborations
-    assert [w.role for w in witnesses if words in w.text] == [role]
+    assert [w.role for w in worn(**changed).corroborations if words in w.text] == [role]
 
 
-def test_similar_packs_omit_door_comparison():
-    for changed in ({"hx_fouling_between_packs": 0.05}, {"door_median_between_packs": NAN}):
-        message = wording.exchanger(of(ExchangerFacts, WORN | changed), "F").text()
-        assert "wider" not in message
-        assert "as wide" not in message
-    alone = wording.exchanger(
-        of(ExchangerFacts, WORN | {"hx_fouling_between_packs": NAN, "ram_flow_loss": NAN}), "F"
-    ).corroborations
-    assert len(alone) == 1
+def test_lone_pack_has_one_witness():
+    assert len(worn(hx_fouling_between_packs=NAN, ram_flow_loss=NAN).corroborations) == 1
+
+
+def test_intervals_are_in_percent():
     assert wording.within(0.34, 0.01) == "34 % (32 to 36)"
     assert wording.within(0.3, 0.02, 1) == "30.0 % (26.7 to 33.3)"
-    assert wording.chance_above(0.16, 0.15, 0.01) == "0.84"
-    assert wording.chance_above(0.2, 0.15, 0.01) == "above 0.99"
-    assert wording.chance_above(0.2, 0.15, 0.0) == "above 0.99"
-    assert np.isclose(float(wording.chance_above(0.1, 0.15, 0.05)), norm.cdf(-1.0), atol=0.005)
 
 
-def test_severity_changes_at_edge():
-    few = (FAILS_AT - 0.2) / 49.0
-    base = {"hx_fouling": 0.2, "hx_fouling_slope_30_per_flight": 0.0}
-    for changed, severity in (
+@pytest.mark.parametrize(
+    ("value", "sd", "chance"),
+    [(0.16, 0.01, "0.84"), (0.2, 0.01, "above 0.99"), (0.2, 0.0, "above 0.99"), (0.1, 0.05, f"{norm.cdf(-1.0):.2f}")],
+)
+def test_chances_are_in_hundredths(value, sd, chance):
+    assert wording.chance_above(value, 0.15, sd) == chance
+
+
+FEW = (FAILS_AT - 0.2) / 49.0
+"""Loss a flight of an exchanger that fails in forty-nine flights."""
+CALM = {"hx_fouling": 0.2, "hx_fouling_slope_30_per_flight": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("changed", "severity"),
+    [
         ({}, "medium"), ({"hx_fouling": 0.301}, "high"), ({"hx_fouling": 0.3}, "medium"),
-        ({"hx_fouling_slope_30_per_flight": few}, "high"),
-        ({"hx_fouling_slope_30_per_flight": few * 49.0 / 51.0}, "medium"),
-    ):  # fmt: skip
-        assert wording.exchanger_severity(of(ExchangerFacts, base | changed)) == severity
-    assert (
-        wording.flights_left(of(ExchangerFacts, base | {"hx_fouling": 0.9, "hx_fouling_slope_30_per_flight": 0.1}))
-        == 0.0
-    )
-    assert wording.flights_left(of(ExchangerFacts, base | {"hx_fouling_slope_30_per_flight": 1e-5})) is None
-    assert [DIAGNOSES["HX_LOW_MARGIN"].severity(of(MarginFacts, {"hx_passage_100": p})) for p in (0.5, 0.51)] == [
-        "medium",
-        "high",
-    ]
-    assert [DIAGNOSES["RAM_DOOR_FAULT"].severity(of(DoorFacts, {"kind": k})) for k in ("jam", "lost travel")] == [
-        "high",
-        "medium",
-    ]
-    kinds = [{"kind": "shift", "sensor": "hx_out_k"}, {"kind": "shift", "sensor": "mach"}, {"kind": "contradicted"}]
-    assert [wording.sensor_severity(of(SensorFacts, k)) for k in kinds] == ["medium", "low", "medium"]
+        ({"hx_fouling_slope_30_per_flight": FEW}, "high"),
+        ({"hx_fouling_slope_30_per_flight": FEW * 49.0 / 51.0}, "medium"),
+    ],
+)  # fmt: skip
+def test_exchanger_severity_changes_at_edge(changed, severity):
+    assert wording.exchanger_severity(record_of(ExchangerFacts, CALM | changed)) == severity
 
 
-def test_low_margin_evidence_states_figures():
-    facts = WORN | {
-        "hx_margin_k": -2.4, "hx_margin_hot_day_k": 3.6, "hx_passage_300": 0.93, "hx_margin_design_k": 6.4,
-        "hx_margin_target_k": NAN, "hx_margin_flow_k": -1.6, "hx_margin_ambient_k": -8.0, "hx_margin_wear_k": 0.0,
-        "overheat_p20_k": 1.1,
-    }  # fmt: skip
-    message = wording.low_margin(of(MarginFacts, facts), "F07").text()
-    for words in (
-        "2 K above its level", "4 K below it on a hot day", "probability 0.93", "the design gives +6 K, flow -2 K, air",
-        "air outside -8 K, wear and build +0 K", "outlet was 1 K above its level",
-    ):  # fmt: skip
-        assert words in message
-    cool = wording.low_margin(of(MarginFacts, facts | {"overheat_p20_k": 1.0, "hx_margin_k": NAN}), "F07").text()
-    assert "outlet was" not in cool
-    assert "unknown distance" in cool
-    assert "0 K below" in wording.low_margin(of(MarginFacts, facts | {"hx_margin_k": 0.0}), "F07").text()
+@pytest.mark.parametrize(
+    ("changed", "flights"),
+    [
+        ({"hx_fouling": 0.9, "hx_fouling_slope_30_per_flight": 0.1}, 0.0),
+        ({"hx_fouling_slope_30_per_flight": 1e-5}, None),
+    ],
+)
+def test_flights_left_follow_trend(changed, flights):
+    assert wording.flights_left(record_of(ExchangerFacts, CALM | changed)) == flights
 
 
-def test_compressor_evidence_states_figures():
-    facts = {
-        "cc_efficiency_loss": 0.082, "cc_efficiency_loss_sd": 0.01, "shrunk": -0.044, "cc_diameter_loss": 0.0206,
-        "cc_diameter_left": 0.034, "cc_diameter_left_hot_high": -0.026,
-    }  # fmt: skip
-    evidence = wording.compressor(of(CompressorFacts, facts), "F07")
-    assert (
-        "8.2 % (6.6 to 9.8) against expectation, 8 times its uncertainty, likely since F07; worn at all (above 5 %)"
-        in evidence.finding
-    )
-    roles = [(w.role, w.text[:40]) for w in evidence.corroborations]
-    assert roles[0] == ("Supports", "effective diameter lost (cc_diameter_los")
-    assert "lost (cc_diameter_loss) 2.1 %" in evidence.corroborations[0].text
-    assert "3 % more of it" in evidence.corroborations[1].text
-    assert "it is 3 % too small" in evidence.corroborations[2].text
-    for loss, role in ((0.0204, "Neutral"), (-0.0219, "Neutral"), (-0.0221, "Against")):
-        assert (
-            wording.compressor(of(CompressorFacts, facts | {"cc_diameter_loss": loss}), "F").corroborations[0].role
-            == role
-        )
-    left = {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}
-    short = wording.compressor(of(CompressorFacts, facts | left), "F").corroborations
-    assert (short[1].role, short[2].role) == ("Supports", "Neutral")
-    assert "2 % too small" in short[1].text
-    assert "1 % may go" in short[2].text
-    silent = wording.compressor(of(CompressorFacts, facts | {"cc_efficiency_loss": NAN}), "F07")
-    assert "is 4.4 % below this unit's own first flights, 2.0 times the scatter of a flight" in silent.finding
-    assert wording.compressor(of(CompressorFacts, facts | {"cc_diameter_loss": NAN}), "F").corroborations == ()
-    assert len(wording.compressor(of(CompressorFacts, facts | {"cc_diameter_left": NAN}), "F").corroborations) == 1
+@pytest.mark.parametrize(
+    ("code", "record", "facts", "severity"),
+    [
+        ("HX_LOW_MARGIN", MarginFacts, {"hx_passage_100": 0.5}, "medium"),
+        ("HX_LOW_MARGIN", MarginFacts, {"hx_passage_100": 0.51}, "high"),
+        ("RAM_DOOR_FAULT", DoorFacts, {"kind": "jam"}, "high"),
+        ("RAM_DOOR_FAULT", DoorFacts, {"kind": "lost travel"}, "medium"),
+    ],
+)
+def test_severity_changes_at_edge(code, record, facts, severity):
+    assert DIAGNOSES[code].severity(record_of(record, facts)) == severity
+
+
+@pytest.mark.parametrize(
+    ("facts", "severity"),
+    [
+        ({"kind": "shift", "sensor": "hx_out_k"}, "medium"), ({"kind": "shift", "sensor": "mach"}, "low"),
+        ({"kind": "contradicted"}, "medium"),
+    ],
+)  # fmt: skip
+def test_sensor_severity_follows_use(facts, severity):
+    """Medium for a sensor that the health estimate depends on."""
+    assert wording.sensor_severity(record_of(SensorFacts, facts)) == severity
+
+
+LITTLE = WORN | {
+    "hx_margin_k": -2.4, "hx_margin_hot_day_k": 3.6, "hx_passage_300": 0.93, "hx_margin_design_k": 6.4,
+    "hx_margin_target_k": NAN, "hx_margin_flow_k": -1.6, "hx_margin_ambient_k": -8.0, "hx_margin_wear_k": 0.0,
+    "overheat_p20_k": 1.1,
+}  # fmt: skip
+
+
+def low_margin(**changed: float) -> str:
+    return wording.low_margin(record_of(MarginFacts, LITTLE | changed), "F07").text()
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({}, "2 K above its level"), ({}, "4 K below it on a hot day"), ({}, "probability 0.93"),
+        ({}, "the design gives +6 K, flow -2 K, air"), ({}, "air outside -8 K, wear and build +0 K"),
+        ({}, "outlet was 1 K above its level"), ({"hx_margin_k": NAN}, "unknown distance"),
+        ({"hx_margin_k": 0.0}, "0 K below"),
+    ],
+)  # fmt: skip
+def test_low_margin_evidence_states_figures(changed, words):
+    assert words in low_margin(**changed)
+
+
+def test_cool_outlet_goes_unmentioned():
+    assert "outlet was" not in low_margin(overheat_p20_k=1.0)
+
+
+SHRUNK = {
+    "cc_efficiency_loss": 0.082, "cc_efficiency_loss_sd": 0.01, "shrunk": -0.044, "cc_diameter_loss": 0.0206,
+    "cc_diameter_left": 0.034, "cc_diameter_left_hot_high": -0.026,
+}  # fmt: skip
+
+
+def shrunk(**changed: float) -> Evidence:
+    return wording.compressor(record_of(CompressorFacts, SHRUNK | changed), "F07")
+
+
+@pytest.mark.parametrize(
+    ("loss", "words"),
+    [
+        (
+            0.082,
+            "8.2 % (6.6 to 9.8) against expectation, 8 times its uncertainty, likely since F07; worn at all (above",
+        ),
+        (0.082, "worn at all (above 5 %)"),
+        (NAN, "is 4.4 % below this unit's own first flights, 2.0 times the scatter of a flight"),
+    ],
+)
+def test_compressor_evidence_states_figures(loss, words):
+    assert words in shrunk(cc_efficiency_loss=loss).finding
+
+
+SHORT = {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}
+"""Too small for its flights, not for those hot and high."""
+
+
+@pytest.mark.parametrize(
+    ("changed", "witness", "words"),
+    [
+        ({}, 1, "3 % more of it"), ({}, 2, "it is 3 % too small"), (SHORT, 1, "2 % too small"),
+        (SHORT, 2, "1 % may go"),
+    ],
+)  # fmt: skip
+def test_compressor_witnesses_state_figures(changed, witness, words):
+    assert words in shrunk(**changed).corroborations[witness].text
+
+
+def test_compressor_witness_names_diameter():
+    assert shrunk().corroborations[0].text.startswith("effective diameter lost (cc_diameter_loss) 2.1 %")
+
+
+@pytest.mark.parametrize(
+    ("loss", "role"), [(0.0206, "Supports"), (0.0204, "Neutral"), (-0.0219, "Neutral"), (-0.0221, "Against")]
+)
+def test_diameter_role_changes_at_edge(loss, role):
+    assert shrunk(cc_diameter_loss=loss).corroborations[0].role == role
+
+
+def test_small_diameter_supports_wear():
+    assert [w.role for w in shrunk(**SHORT).corroborations[1:]] == ["Supports", "Neutral"]
+
+
+@pytest.mark.parametrize(("unknown", "n_witnesses"), [("cc_diameter_loss", 0), ("cc_diameter_left", 1)])
+def test_unknown_diameter_is_no_witness(unknown, n_witnesses):
+    assert len(shrunk(**{unknown: NAN}).corroborations) == n_witnesses
 
 
 @pytest.mark.parametrize(("whose", "is_held_back"), [("own", False), ("both", True)])
 def test_common_change_points_to_map(whose, is_held_back):
     facts = {"kind": "shift", "sensor": "pack_flow_kg_s", "whose": whose}
 
-    assert (
-        "look at the recorder's scale, map and software first" in wording.sensor_addendum(of(SensorFacts, facts))
-    ) == is_held_back
+    addendum = wording.sensor_addendum(record_of(SensorFacts, facts))
+
+    assert ("look at the recorder's scale, map and software first" in addendum) == is_held_back
 
 
-def test_door_evidence_states_figures():
-    door = wording.door(of(DoorFacts, {"kind": "lost travel", "stop": 0.42, "excess_k": 2.0}), "F07").text()
-    assert "no further than 42 %: since F07 the outlet ran up to 2.0 K (6 times the scatter" in door
-    assert "stays at 42 %" in wording.door(of(DoorFacts, {"kind": "jam", "stop": 0.42}), "F07").text()
-    shift = {"kind": "shift", "sensor": "hx_out_k", "sigma": 7.25, "p": 0.973}
-    by_k = wording.sensor(of(SensorFacts, shift | {"channel": "hx_out_between_packs_k", "moved": -3.456}), "F07").text()
-    assert "moved by -3.46 K (7.2 times its uncertainty" in by_k
-    assert "with probability 0.97" in by_k
-    by_ln = wording.sensor(
-        of(SensorFacts, shift | {"channel": "pack_over_compressor_flow_ln", "moved": 0.0712}), "F07"
-    ).text()
-    assert "moved by +7.1 %" in by_ln
-    empty = wording.sensor(of(SensorFacts, {"kind": "dropout", "sensor": "mach", "share": 0.25}), "F07").text()
-    assert "Mach number (mach) is empty in 25 % of its readings since F07" in empty
-    back = {"kind": "contradicted", "of": "HX", "looked_on": "2024-03-01", "level": 0.2, "loss": 0.24}
-    assert "at a loss of 20 %, and the loss has grown to 24 %" in wording.sensor(of(SensorFacts, back), "F07").text()
+@pytest.mark.parametrize(
+    ("facts", "words"),
+    [
+        (
+            {"kind": "lost travel", "stop": 0.42, "excess_k": 2.0},
+            "no further than 42 %: since F07 the outlet ran up to 2.0 K (6 times the scatter",
+        ),
+        ({"kind": "jam", "stop": 0.42}, "stays at 42 %"),
+    ],
+    ids=["lost travel", "jam"],
+)
+def test_door_evidence_states_figures(facts, words):
+    assert words in wording.door(record_of(DoorFacts, facts), "F07").text()
+
+
+SHIFT = {"kind": "shift", "sensor": "hx_out_k", "sigma": 7.25, "p": 0.973}
+BY_K = SHIFT | {"channel": "hx_out_between_packs_k", "moved": -3.456}
+
+
+@pytest.mark.parametrize(
+    ("facts", "words"),
+    [
+        (BY_K, "moved by -3.46 K (7.2 times its uncertainty"),
+        (BY_K, "with probability 0.97"),
+        (SHIFT | {"channel": "pack_over_compressor_flow_ln", "moved": 0.0712}, "moved by +7.1 %"),
+        (
+            {"kind": "dropout", "sensor": "mach", "share": 0.25},
+            "Mach number (mach) is empty in 25 % of its readings since F07",
+        ),
+        (
+            {"kind": "contradicted", "of": "HX", "looked_on": "2024-03-01", "level": 0.2, "loss": 0.24},
+            "at a loss of 20 %, and the loss has grown to 24 %",
+        ),
+    ],
+    ids=["kelvin", "probability", "percent", "dropout", "contradicted"],
+)
+def test_sensor_evidence_states_figures(facts, words):
+    assert words in wording.sensor(record_of(SensorFacts, facts), "F07").text()
