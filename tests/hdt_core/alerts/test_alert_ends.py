@@ -254,8 +254,8 @@ def test_three_points_contradict_inspection(growth: float, n_contradictions: int
     cases = alerts(features(np.where(FLIGHT < LOOKED_AFTER + 5, worn(0.0), LOSS_THEN + growth)), inspection())
     assert cases["diagnosis"].to_list() == ["HX_FOULING"] + ["SENSOR_FAULT"] * n_contradictions
     assert cases["raised_at"].to_list()[1:] == [departure(LOOKED_AFTER + 7)] * n_contradictions
-    grown = "at a loss of 20 %, and the loss has grown to 23 %"
-    assert all(grown in text for text in cases["evidence_now"].to_list()[1:])
+    words = "at a loss of 20 %, and the loss has grown to 23 %"
+    assert all(words in text for text in cases["evidence_now"].to_list()[1:])
 
 
 @pytest.mark.parametrize(("after", "closing"), [(0.0149, (departure(84), "recovered")), (0.0151, (None, None))])

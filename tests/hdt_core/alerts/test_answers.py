@@ -24,6 +24,9 @@ def work(component: str, action: str, **more) -> pl.DataFrame:
     return RawMaintenance.conform(pl.DataFrame([row]))
 
 
+WASH = work("HX", "CLEANED")
+
+
 def ending(alert: pl.DataFrame, entry: pl.DataFrame) -> tuple:
     """When and why the alert ends by an entry that the night did not have."""
     log = entry.with_columns(since_night=pl.lit(True))
@@ -47,14 +50,14 @@ def test_work_ends_alerts_of_its_part(diagnosis, component, action, reason):
 
 
 def test_alert_ends_when_work_counts():
-    assert ending(alerts("HX_FOULING", "HX"), work("HX", "CLEANED"))[0] == LATER
+    assert ending(alerts("HX_FOULING", "HX"), WASH)[0] == LATER
 
 
 @pytest.mark.parametrize(
     "other", [{"pack": 2}, {"tail": "T-2"}, {"component": "CC"}, {"counts_from": RAISED - dt.timedelta(days=1)}]
 )
 def test_other_work_ends_nothing(other):
-    assert ending(alerts("HX_FOULING", "HX"), work("HX", "CLEANED").with_columns(**values(other)))[1] is None
+    assert ending(alerts("HX_FOULING", "HX"), WASH.with_columns(**values(other)))[1] is None
 
 
 def values(columns: dict) -> dict:
@@ -84,28 +87,26 @@ def test_fault_finding_closes_nothing():
     assert ending(alerts("HX_FOULING", "HX"), work("HX", "INSPECTED", finding="FOULED"))[1] is None
 
 
+def closing_without(withdrawn: pl.DataFrame, left: pl.DataFrame, at: dt.datetime, reason: str) -> tuple:
+    """When and why an alert of fouling, closed so, ends once work that the night had is withdrawn."""
+    closed = alerts("HX_FOULING", "HX", closed_at=at, closed_reason=reason)
+    return alerts_now(closed, pl.concat([withdrawn, left]), left).select("closed_at", "closed_reason").row(0)
+
+
 def test_withdrawn_closing_reopens_alert():
-    closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="renewed")
-    entry = work("HX", "CLEANED")
-    assert alerts_now(closed, entry, entry.clear()).select("closed_at", "closed_reason").row(0) == (None, None)
+    assert closing_without(WASH, WASH.clear(), LATER, "renewed") == (None, None)
 
 
 def test_recovered_alert_stays_closed():
-    closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="recovered")
-    entry = work("HX", "CLEANED")
-    assert alerts_now(closed, entry, entry.clear())["closed_reason"].to_list() == ["recovered"]
+    assert closing_without(WASH, WASH.clear(), LATER, "recovered") == (LATER, "recovered")
 
 
 def test_withdrawn_closing_keeps_earlier_end():
     before = LATER - dt.timedelta(hours=1)
-    closed = alerts("HX_FOULING", "HX", closed_at=before, closed_reason="renewed")
-    entry = work("HX", "CLEANED")
-    assert alerts_now(closed, entry, entry.clear())["closed_at"].to_list() == [before]
+    assert closing_without(WASH, WASH.clear(), before, "renewed") == (before, "renewed")
 
 
 def test_remaining_work_keeps_alert_closed():
     """The closing is withdrawn, the wash of the same day is not."""
-    closed = alerts("HX_FOULING", "HX", closed_at=LATER, closed_reason="found_clean")
     clean = work("HX", "INSPECTED", **CLEAN)
-    wash = work("HX", "CLEANED")
-    assert alerts_now(closed, pl.concat([clean, wash]), wash)["closed_reason"].to_list() == ["renewed"]
+    assert closing_without(clean, WASH, LATER, "found_clean")[1] == "renewed"
