@@ -39,7 +39,7 @@ def line(**more) -> Problem:
     return Problem(**(fields | more))
 
 
-def test_least_squares_of_a_line_with_a_prior_and_a_missing_value():
+def test_line_equals_linear_algebra():
     measured = MEASURED[:, None].copy()
     measured[3] = np.nan
     prior = Belief(np.array([0.5, 1.0]), np.array([[0.04, 0.01], [0.01, 0.09]]))
@@ -65,7 +65,7 @@ def test_least_squares_of_a_line_with_a_prior_and_a_missing_value():
     np.testing.assert_allclose(silent.cov, prior.cov)
 
 
-def test_a_fits_figures_are_those_of_its_residuals():
+def test_fit_statistics_follow_residuals():
     """White's sandwich with n / (n - p), deviations scaled by reduced chi-square, Akaike's and Schwarz's criteria."""
     estimate = NonlinearLeastSquares().estimate(line())
     mean = np.linalg.lstsq(A, MEASURED / 0.1, rcond=None)[0]
@@ -84,7 +84,7 @@ def test_a_fits_figures_are_those_of_its_residuals():
 
 
 @pytest.mark.parametrize(("n", "factor"), [(1, 1.0), (2, 2.0), (3, 3.0), (4, 2.0)])
-def test_figures_of_a_fit_with_hardly_a_degree_of_freedom(n, factor):
+def test_fit_statistics_at_few_degrees(n, factor):
     """Of 1 + x, off by tenths: chi-square below 1. White's factor is n / (n - p), n without a degree of freedom."""
     slope, r = np.column_stack([np.ones(n), np.arange(n)]), 0.1 * np.array([1.0, -2.0, 3.0, 1.0])[:n]
     prior = np.eye(2)
@@ -102,7 +102,7 @@ def test_figures_of_a_fit_with_hardly_a_degree_of_freedom(n, factor):
     assert (silent.aic, silent.bic, silent.verdict) == (4.0, 0.0, "untested")
 
 
-def test_a_filters_fit_is_its_innovations_alone_and_a_plot_bands_two_sigmas():
+def test_filter_fit_uses_innovations():
     fit = ExtendedKalman().estimate(line(drift=np.array([0.1, 0.1]))).fit
     assert (fit.n_values, fit.n_free, fit.degrees) == (12, 0, 12)
     assert fit.scaled_sd.shape == fit.sandwich_sd.shape == (0,)
@@ -130,7 +130,7 @@ def test_a_filters_fit_is_its_innovations_alone_and_a_plot_bands_two_sigmas():
         (0.9e-3 * np.repeat([1.0, -1.0], 20), "sigma_too_large"), (1.1e-3 * np.repeat([1.0, -1.0], 20), "lack_of_fit"),
     ],
 )  # fmt: skip
-def test_a_verdict_is_one_in_a_thousand_wrong(residuals, verdict):
+def test_verdict_follows_residuals(residuals, verdict):
     """Quantiles of chi-square: 5.4 and 43.8 for 19 degrees; a series that keeps its sign for twenty values has run."""
     fit = Fit(residuals[:, None], np.array([True]), np.zeros((residuals.size, 1)), np.zeros((1, 1)))
     assert fit.verdict == verdict
@@ -145,11 +145,11 @@ def test_a_verdict_is_one_in_a_thousand_wrong(residuals, verdict):
      (24.7, 52, 1.0), (24.6, 52, 24.6 / 50.0),
      (9.0, 2, 1.0), (np.inf, 12, 1.0), (9.0, 1, 1.0)],
 )  # fmt: skip
-def test_noise_is_as_declared_unless_chi_square_contradicts(chi2, n, variance):
+def test_noise_variance_follows_chi_square(chi2, n, variance):
     assert noise_variance(chi2, n, 2) == pytest.approx(variance)
 
 
-def test_what_data_tell_and_what_they_do_not():
+def test_identifiability_follows_information():
     information = np.array([[4.0, 3.0], [3.0, 9.0]])
     known_info = Identifiability(("a", "b"), information)
     cov = np.linalg.inv(information)
@@ -170,7 +170,7 @@ def test_what_data_tell_and_what_they_do_not():
     assert is_regular
 
 
-def test_how_a_fit_ends_is_told():
+def test_fit_status_follows_optimum():
     optimum = NonlinearLeastSquares().estimate(line())
     mean, sd = optimum.belief.mean, optimum.belief.sd
     # alone along the first parameter, 4.9e-4 and 5.1e-4 of a deviation away
@@ -207,7 +207,7 @@ def curved(value: float, sigma: float) -> Problem:
                    np.array([sigma]), lambda _x, theta, i: np.exp(theta[0] + 0.0 * i)[None])  # fmt: skip
 
 
-def test_profile_intervals_of_a_logarithm_name_a_better_optimum_and_steep_or_flat_sides():
+def test_logarithm_has_asymmetric_profile():
     """Objective ((e^x - y) / s)^2 rises by 3.84 where e^x is y +- 1.96 s; below zero it never does."""
     estimate = NonlinearLeastSquares().estimate(curved(1.0, 0.4))
     np.testing.assert_allclose(estimate.profile.interval, [np.log([1.0 - 0.784, 1.0 + 0.784])], rtol=0.03)
@@ -239,12 +239,12 @@ def test_profile_intervals_of_a_logarithm_name_a_better_optimum_and_steep_or_fla
     {"measured": np.zeros(12)}, {"measured": np.zeros(4), "sigma": np.zeros(0)},
     {"prior": Belief(np.zeros(2), np.eye(3))}, {"prior": Belief(np.zeros(3), np.eye(2))},
 ], ids=str)  # fmt: skip
-def test_a_problem_that_makes_no_sense_is_refused(wrong):
+def test_senseless_problem_is_refused(wrong):
     with pytest.raises(ValueError, match=r"names|measured|positive|bound"):
         line(**wrong)
 
 
-def test_a_kalman_step_is_the_conditional_normal():
+def test_kalman_update_is_conditional_normal():
     cov = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.0], [0.1, 0.0, 0.5]])
     belief, h = Belief(np.array([1.0, -1.0, 0.5]), cov), np.array([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]])
     model = Affine(h, np.array([0.2, -0.1]), np.diag([0.01, 0.02]))
@@ -275,7 +275,7 @@ def test_a_kalman_step_is_the_conditional_normal():
     np.testing.assert_allclose(later.cov, move.slope @ cov @ move.slope.T + 0.1 * np.eye(3))
 
 
-def test_drift_and_process_noise_are_variances():
+def test_drift_adds_variance():
     moving = line(drift=np.array([0.1, 0.2]))
     assert is_moving(moving)
     assert not is_moving(line(drift=np.zeros(2)))
@@ -303,7 +303,7 @@ def test_drift_and_process_noise_are_variances():
     np.testing.assert_array_equal(fixed.cov, np.diag([0.0, 1.0]))
 
 
-def test_a_belief_is_met_at_a_bound_and_drags_the_others_along():
+def test_bound_drags_correlated_parameters():
     belief = Belief(np.array([1.5, 0.0]), np.array([[1.0, 0.5], [0.5, 1.0]]))
     np.testing.assert_allclose(project_on_bounds(belief, np.array([-1.0, -1.0]), np.array([1.0, 1.0])), [1.0, -0.25])
     np.testing.assert_allclose(project_on_bounds(belief, np.array([-2.0, -1.0]), np.array([2.0, 1.0])), [1.5, 0.0])

@@ -35,7 +35,7 @@ SIZE = np.array([2.0, 3.5, 1.8])
         ([-0.5, -2.0, 0.5], [0, -9, -9], [9, 9, 0], [0, 1, 2], {}),  # two leave their bounds
     ],
 )
-def test_a_damped_step_solves_its_equations_within_the_bounds(gradient, lower, upper, free, ends):
+def test_damped_step_respects_bounds(gradient, lower, upper, free, ends):
     g, expected = np.array(gradient), np.zeros(3)
     matrix = (NORMAL + 0.3 * np.diag(SIZE**2))[np.ix_(free, free)]
     expected[free] = np.linalg.solve(matrix, -g[free])
@@ -58,7 +58,7 @@ def test_damping_follows_nielsen(damping, won, promised, after):
     assert next_damping(damping, 4.0, won, promised) == pytest.approx(after, rel=1e-12)
 
 
-def test_a_last_step_promises_next_to_nothing_within_the_box_of_a_search():
+def test_last_step_gains_next_to_nothing():
     """A hundred-millionth of the residuals' variance, 1e-22 without noise; a trillionth of the objective if unpaid."""
     for sign in (1.0, -1.0):
         assert [is_settled(sign * share * 1e-8 * 500.0 / 50, 500.0, 50) for share in (0.99, 1.01)] == [True, False]
@@ -71,7 +71,7 @@ def test_a_last_step_promises_next_to_nothing_within_the_box_of_a_search():
     np.testing.assert_allclose(origin.search_box[1], [3.0, 10.5, 5.0, 2.0])
 
 
-def test_an_inverse_a_determinant_and_a_decrement():
+def test_optimum_equals_linear_algebra():
     inverse, determinant = inverse_spd(NORMAL)
     np.testing.assert_allclose(inverse, np.linalg.inv(NORMAL), rtol=1e-12)
     assert determinant == pytest.approx(np.linalg.det(NORMAL) / (4.0 * 9.0 * 3.0))
@@ -125,7 +125,7 @@ def steps_by_hand(theta, most):
 
 @pytest.mark.parametrize("start", [(0.1, 4.0), (5.0, 0.1)])
 @pytest.mark.parametrize("most", [1, 2, 3, 4, 5, 6, 8, 50])
-def test_a_descent_step_by_step(start, most):
+def test_descent_equals_hand_steps(start, most):
     theta, evals = steps_by_hand(np.array(start), most)
     point = descend(decay(start), np.array(start), most)
     np.testing.assert_allclose(point.theta, theta, rtol=1e-6)
@@ -133,7 +133,7 @@ def test_a_descent_step_by_step(start, most):
     assert descend(decay(start), np.array(start), most, 7).n_evals == evals + 7
 
 
-def test_a_descent_ends_after_two_hundred_steps_and_stays_where_there_is_no_answer(monkeypatch):
+def test_descent_ends_after_200_steps(monkeypatch):
     monkeypatch.setattr(descent, "damped_step", lambda *_: (np.array([-1.0]), 1e3))
     one = Problem(("x",), np.array([[-9e9, 9e9]]), unknown(np.zeros(1)), np.zeros((1, 1)), np.ones(1),
                   lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
@@ -179,12 +179,12 @@ def test_a_descent_ends_after_two_hundred_steps_and_stays_where_there_is_no_answ
         ([[4.0, 0.0], [0.0, 0.0]], [1.0, 0.0], [0, 0], [[-9, 9]] * 2, 0.5),  # no information at all on the second
     ],
 )
-def test_newtons_decrement_where_a_direction_is_missing(normal, gradient, theta, bounds, distance):
+def test_distance_to_optimum_within_bounds(normal, gradient, theta, bounds, distance):
     at = Point(np.array(theta, float), 1.0, np.array(gradient), np.array(normal))
     assert distance_to_optimum(at, np.array(bounds, float)) == pytest.approx(distance)
 
 
-def test_an_unseen_direction_leaves_no_covariance_with_the_rest():
+def test_unseen_direction_has_infinite_variance():
     inverse, is_regular = invert_information(np.array([[4.0, 4.0, 1.0], [4.0, 4.0, 1.0], [1.0, 1.0, 25.0]]))
     np.testing.assert_allclose(inverse, [[np.inf, 0, 0], [0, np.inf, 0], [0, 0, 1.0 / (25.0 - 0.25)]], atol=1e-9)
     assert not is_regular
@@ -206,7 +206,7 @@ BOX = Problem(("a", "b", "c", "d"), np.array([[-1.0, 3.0], [-np.inf, np.inf], [-
               lambda _x, theta, i: (theta[0] ** 2 + theta[1] * theta[2] + 0.0 * i)[None])  # fmt: skip
 
 
-def test_a_swarm_flies_as_clerc_and_kennedy_say():
+def test_swarm_follows_clerc_kennedy():
     problem, rng = replace(decay((1.0, 1.0)), bounds=np.tile([0.5, 4.0], (2, 1))), np.random.default_rng(5)
     lower, width = 0.5, 3.5
     at = lower + width * rng.random((6, 2))
@@ -260,7 +260,7 @@ def tank(**more) -> Problem:
     return declared_problem(TANK, ["rate"], {"inflow": inflow}, {"level": np.array([1.4, 1.0, np.nan])}, **more)
 
 
-def test_a_declared_state_is_stepped_and_stepped_twice_as_finely():
+def test_declared_state_steps_by_euler():
     problem = tank(dt_s=0.4, flights_per_sample=4.0)
     x1 = 1.5 + 0.4 * (0.2 - 0.7 * 1.5)
     x2 = x1 + 0.4 * (0.0 - 0.7 * x1)
@@ -282,7 +282,7 @@ def test_a_declared_state_is_stepped_and_stepped_twice_as_finely():
     np.testing.assert_allclose((both.measured[0], both.sigma), ([0.0, 1.0], [0.2, 0.4]))
 
 
-def test_the_error_of_the_step_is_its_change_through_least_squares():
+def test_step_error_is_its_propagated_change():
     problem = tank(dt_s=0.4)
     estimate = NonlinearLeastSquares().estimate(problem)
     rate = estimate.belief.mean[0]

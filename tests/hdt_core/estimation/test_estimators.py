@@ -48,7 +48,7 @@ def lag(seed=0, gain=1.5, pole=0.9):
 
 @EVERY
 @pytest.mark.parametrize("seed", [0, 1])
-def test_recovers_the_parameters_of_a_static_model(estimator, seed):
+def test_recovers_static_parameters(estimator, seed):
     estimate = estimator.estimate(decay(seed))
     assert estimate.status == "converged"
     assert (np.abs(estimate.belief.mean - [LEVEL, RATE]) < 4.0 * estimate.belief.sd).all()
@@ -56,7 +56,7 @@ def test_recovers_the_parameters_of_a_static_model(estimator, seed):
 
 
 @EVERY
-def test_recovers_the_parameters_behind_a_state_and_the_oscillator_from_the_wrong_guess(estimator):
+def test_recovers_dynamic_parameters(estimator):
     estimate = estimator.estimate(lag())
     assert estimate.status == "converged"
     assert (np.abs(estimate.belief.mean - [1.5, 0.9]) < 4.0 * estimate.belief.sd).all()
@@ -68,7 +68,7 @@ def test_recovers_the_parameters_behind_a_state_and_the_oscillator_from_the_wron
 
 
 @EVERY
-def test_same_problem_same_answer_with_a_covariance_and_a_count(estimator):
+def test_same_problem_gives_same_answer(estimator):
     first, second = estimator.estimate(decay()), estimator.estimate(decay())
     np.testing.assert_array_equal(first.belief.mean, second.belief.mean)
     np.testing.assert_array_equal(first.belief.cov, second.belief.cov)
@@ -81,7 +81,7 @@ def test_same_problem_same_answer_with_a_covariance_and_a_count(estimator):
 
 
 @EVERY
-def test_keeps_its_bounds_and_says_so_and_a_held_parameter_stays(estimator):
+def test_reports_active_bound(estimator):
     estimate = estimator.estimate(decay(bounds=((0.0, 10.0), (0.0, 0.4))))
     assert 0.0 <= estimate.belief.mean[1] <= 0.4
     assert estimate.belief.mean[1] > 0.3
@@ -110,7 +110,7 @@ def test_estimate_stays_within_its_bounds(estimator, upper):
 
 
 @EVERY
-def test_missing_values_are_no_values_and_without_data_the_belief_is_the_prior(estimator):
+def test_ignores_missing_values(estimator):
     whole = decay()
     holed = whole.measured.copy()
     holed[::3] = np.nan
@@ -125,7 +125,7 @@ def test_missing_values_are_no_values_and_without_data_the_belief_is_the_prior(e
 
 
 @EVERY
-def test_a_product_of_two_unknowns_is_not_identifiable(estimator):
+def test_product_is_not_identifiable(estimator):
     whole = decay()
     product = replace(
         whole,
@@ -141,7 +141,7 @@ def test_a_product_of_two_unknowns_is_not_identifiable(estimator):
     assert set(estimate.identifiability.weakest) == {"area", "speed"}
 
 
-def test_those_that_find_the_optimum_agree_on_it():
+def test_estimators_agree_on_optimum():
     beliefs = {e.name: e.estimate(decay()).belief for e in estimators().values()}
     for name in ("pso", "genetic", "gradient_descent", "pinn"):
         away = np.abs(beliefs[name].mean - beliefs["nls"].mean) / beliefs["nls"].sd
@@ -153,7 +153,7 @@ def test_those_that_find_the_optimum_agree_on_it():
 
 @EVERY
 @pytest.mark.parametrize("dynamic", [False, True])
-def test_a_model_without_an_answer_is_divergence_and_not_an_exception(estimator, dynamic):
+def test_failed_model_diverges(estimator, dynamic):
     if dynamic:
         broken = replace(lag(), transition=lambda x, theta, _i: np.nan * x * theta[1])
     else:

@@ -53,7 +53,7 @@ def line(**more) -> Problem:
         (UnscentedKalman(smoother_passes=0, polish=False), 1),
     ],
 )
-def test_passes_cost_two_for_each_quantity_and_one(estimator, passes):
+def test_linear_pass_costs_five_evaluations(estimator, passes):
     """A straight line is filtered once, and once more to see that it stands still."""
     estimate = estimator.estimate(line())
     assert (estimate.status, estimate.n_evals) == ("converged", 5 * passes)
@@ -91,7 +91,7 @@ def square(measured=4.0, drift=0.0, sigma=0.1) -> Problem:
     ],
     ids=str,
 )  # fmt: skip
-def test_how_a_filter_ends(estimator, drift, status):
+def test_filter_status_follows_passes(estimator, drift, status):
     estimate = replace(estimator, name="other").estimate(square(drift=drift))
     finish = ", finished by least squares" * (estimator == UnscentedKalman())
     assert (estimate.status, estimate.method) == (status, f"other{finish}")
@@ -99,7 +99,7 @@ def test_how_a_filter_ends(estimator, drift, status):
     assert np.isnan(estimate.distance) == (drift > 0.0)
 
 
-def test_defaults_of_filters_and_net_and_a_net_without_states_is_least_squares():
+def test_estimator_defaults():
     assert ExtendedKalman() == ExtendedKalman("ekf", 20)
     assert UnscentedKalman() == UnscentedKalman("ukf", 1.0, 0.0, 0.0, 5, True)
     assert PhysicsInformedNet() == PhysicsInformedNet("pinn", 30, (0.1, 0.01), 100, True, 0)
@@ -111,7 +111,7 @@ def test_defaults_of_filters_and_net_and_a_net_without_states_is_least_squares()
 @pytest.mark.parametrize(
     ("later", "step_end"), [(1.9, 1.9), (2.1, 1.05), (3.0, 1.5), (9.0, 1.125), (-1.0, -1.0), (400.0, 400.0)]
 )
-def test_a_pass_is_shortened_by_halves_until_it_pays(later, step_end):
+def test_line_search_halves_the_step(later, step_end):
     """The objective is (x - 1)^2 from 0: seven halvings at most, and the full step where none pays."""
     one = Problem(("x",), np.array([[-999.0, 999.0]]), unknown(np.zeros(1)), np.ones((1, 1)), np.ones(1),
                   lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
@@ -123,7 +123,7 @@ def test_a_pass_is_shortened_by_halves_until_it_pays(later, step_end):
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.1])
-def test_what_stands_still_is_the_last_belief(monkeypatch, drift):
+def test_settling_compares_last_belief(monkeypatch, drift):
     moves: list = []
     monkeypatch.setattr(kalman, "_stands_still", lambda move, cov: moves.append((move, cov)))
     estimate = ExtendedKalman(smoother_passes=1).estimate(square(drift=drift))
@@ -135,7 +135,7 @@ def test_what_stands_still_is_the_last_belief(monkeypatch, drift):
     np.testing.assert_allclose(moves[0][1], linear.belief.cov, rtol=1e-6)
 
 
-def test_a_filter_ends_inside_its_bounds_with_the_cost_of_a_lost_pass():
+def test_filter_ends_within_bounds():
     means, covs = np.array([[0.0, 1.0], [2.0, 3.0], [60.0, 0.0]]), np.array([np.eye(2), 9.0 * np.eye(2), np.eye(2)])
     covs[2, 0, 1] = covs[2, 1, 0] = 0.5
     np.testing.assert_allclose(_point(line(), FilterPass(means, covs, [], [])), [50.0, -5.0])
@@ -162,7 +162,7 @@ def test_a_filter_ends_inside_its_bounds_with_the_cost_of_a_lost_pass():
 
 @pytest.mark.parametrize(("points", "passes"), [(False, 2), (True, 5)])
 @pytest.mark.parametrize(("mean", "n_passes", "serves"), [([1.0, 0.5], 3, True), ([1.2, 0.5], 3, False)])
-def test_a_compiled_filter_serves_where_it_ends_on_the_optimum(points, passes, mean, n_passes, serves):
+def test_compiled_filter_must_reach_optimum(points, passes, mean, n_passes, serves):
     arguments: list = []
 
     def kalman(*args):
@@ -192,7 +192,7 @@ def test_a_compiled_filter_serves_where_it_ends_on_the_optimum(points, passes, m
     assert moving.innovations is not None
 
 
-def test_regression_over_sigma_points_of_a_square():
+def test_sigma_points_linearise_a_square():
     """z0^2 of N(m, P): mean m^2 + P, slope 2 m, left over P either way with these weights."""
     points = MerweScaledSigmaPoints(2, 1.0, 0.0, 0.0, sqrt_method=upper_root)
     belief, free = Belief(np.array([1.5, -1.0]), np.diag([0.25, 0.09])), np.full(2, np.inf)
@@ -217,7 +217,7 @@ def test_regression_over_sigma_points_of_a_square():
     np.testing.assert_array_equal(upper_root(np.array([[4.0, 4.0], [4.0, 1.0]])), np.diag([2.0, 1.0]))
 
 
-def test_tangent_is_one_sided_on_a_bound_and_knows_no_spread():
+def test_tangent_is_one_sided_at_bound():
     belief, lower, upper = Belief(np.array([2.0, 0.5]), np.eye(2)), np.array([-9.0, -9.0]), np.array([1.0, 9.0])
     linear = tangent(lambda z: np.stack([z[0] * z[1], z[0] ** 2]), belief, lower, upper)
     np.testing.assert_allclose(linear.slope, [[0.5, 1.0], [2.0, 0.0]], atol=1e-4)
@@ -235,7 +235,7 @@ def test_tangent_is_one_sided_on_a_bound_and_knows_no_spread():
     np.testing.assert_allclose(ends[0][:, 8:] - ends[0][:, 4:8], np.diag(size), rtol=1e-8, atol=1e-15)
 
 
-def test_a_trajectory_is_known_exactly_and_a_report_that_is_not_finite_is_lost():
+def test_trajectory_has_no_covariance():
     walk = replace(square(), transition=lambda x, t, _i: x + t[0], start=Belief(np.array([2.0]), np.array([[1.0]])))
     beliefs = trajectory(walk, np.array([0.5]))
     np.testing.assert_allclose([b.mean for b in beliefs], [[2.0, 0.5], [2.5, 0.5], [3.0, 0.5]])
@@ -248,7 +248,7 @@ def test_a_trajectory_is_known_exactly_and_a_report_that_is_not_finite_is_lost()
     assert (result.status, result.n_evals, result.belief.mean.tolist()) == ("approximate", 7, [0.3, 0.2])
 
 
-def test_a_summary_says_it_all():
+def test_summary_lists_all_results():
     problem = line(prior=unknown(np.array([3.0, 0.0])))
     fitted = NonlinearLeastSquares().estimate(problem)
     estimate = replace(fitted, weak=("slope",), better=np.array([2.0, 0.25]), n_checks=17)
@@ -298,5 +298,5 @@ def test_a_summary_says_it_all():
         ([[-2.0, np.inf], [1.0, 1.0]], unknown(np.array([-7.0, 1.0])), [7e-3, 1e-3]),
     ],
 )
-def test_a_parameter_at_zero_has_the_magnitude_of_its_prior_its_bounds_or_its_start(bounds, prior, expected):
+def test_scale_at_zero_follows_prior(bounds, prior, expected):
     np.testing.assert_allclose(_scale(line(bounds=np.array(bounds), prior=prior)), expected)

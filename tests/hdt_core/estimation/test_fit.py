@@ -29,7 +29,7 @@ def line(noise=1.0, bend=0.0, seed=1, sigma=0.1):
     )
 
 
-def test_a_sigma_that_fits_leaves_the_bound_of_cramer_and_rao_and_what_lmfit_prints():
+def test_deviation_meets_cramer_rao_bound():
     sound = NonlinearLeastSquares().estimate(line())
     np.testing.assert_allclose(sound.belief.sd, sound.identifiability.bound_sd, rtol=1e-9)
     estimate = NonlinearLeastSquares().estimate(line())
@@ -46,7 +46,7 @@ def test_a_sigma_that_fits_leaves_the_bound_of_cramer_and_rao_and_what_lmfit_pri
     assert verdicts.count("adequate") >= 396  # 400 records, 2 in 1,000 each
 
 
-def test_beside_a_held_parameter_the_interval_follows_the_record_too():
+def test_interval_follows_residual_scatter():
     """Sigma declared three times too small; the deviation is that of the residuals over the root of the sum of squares.
 
     Nine of ten intervals hold the truth: 200 records, three times 0.021.
@@ -60,7 +60,7 @@ def test_beside_a_held_parameter_the_interval_follows_the_record_too():
     assert np.mean(np.abs(slope - 2.0) < 1.645 * sd) == pytest.approx(0.9, abs=0.065)
 
 
-def test_residuals_of_a_filter_that_follows_are_its_innovations():
+def test_innovations_judge_a_drifting_filter():
     rng = np.random.default_rng(3)
     level = 1.0 + np.cumsum(0.05 * rng.standard_normal(300))
 
@@ -82,7 +82,7 @@ def test_residuals_of_a_filter_that_follows_are_its_innovations():
     assert rigid.fit.verdict == "lack_of_fit"
 
 
-def test_only_the_product_is_identifiable_unless_a_prior_closes_the_open_direction():
+def test_only_product_is_identifiable():
     problem = compressor()
     information = fisher(problem, np.array([AREA_M2, DIAMETER_M, BETA_RAD]))
     assert not information.identifiable
@@ -100,7 +100,7 @@ def test_only_the_product_is_identifiable_unless_a_prior_closes_the_open_directi
 
 
 @pytest.mark.parametrize(("gap", "is_observable"), [(2.1e-14, True), (1.9e-14, False)])
-def test_direction_is_observable_up_to_a_condition_of_1e14(gap, is_observable):
+def test_condition_decides_observability(gap, is_observable):
     # eigenvalues of [[1, c], [c, 1]] are 1 + c and 1 - c: a condition of 2 / gap
     information = np.array([[1.0, 1.0 - gap], [1.0 - gap, 1.0]])
     cov, observable = invert_information(information)
@@ -133,13 +133,13 @@ def near_equal(seed, prior=None):
 @pytest.mark.parametrize(
     "estimator", [NonlinearLeastSquares(), ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name
 )
-def test_near_equal_exponentials_are_never_called_converged(estimator):
+def test_near_equal_exponentials_stay_open(estimator):
     statuses = {estimator.estimate(near_equal(seed)).status for seed in range(8)}
     assert "converged" not in statuses
     assert statuses & {"weakly_identifiable", "not_identifiable"}
 
 
-def test_a_prior_that_tells_them_apart_makes_it_an_estimate():
+def test_prior_separates_near_equal_exponentials():
     prior = Belief(TRUTH, np.diag([0.02, 0.02, 0.02, 0.02]) ** 2)
     assert NonlinearLeastSquares().estimate(near_equal(0, prior)).status == "converged"
 
@@ -158,7 +158,7 @@ def saturating(seed, bounds=((0.0, 500.0), (0.0, 500.0))):
     )
 
 
-def test_a_profile_ends_where_the_objective_has_risen_and_an_open_end_is_named():
+def test_profile_ends_where_objective_rises():
     problem = saturating(1)
     estimate = NonlinearLeastSquares().estimate(problem)
     assert estimate.profile is not None
@@ -176,7 +176,7 @@ def test_a_profile_ends_where_the_objective_has_risen_and_an_open_end_is_named()
         assert estimate.profile.open[0, 1]
 
 
-def test_profiles_cover_what_they_promise():
+def test_profiles_cover_at_stated_rate():
     inside, wald = [], []
     for seed in range(150):
         problem = saturating(seed)
@@ -188,7 +188,7 @@ def test_profiles_cover_what_they_promise():
     assert np.mean(inside) == pytest.approx(0.95, abs=0.05)  # 150 records: nearly three times 0.018
 
 
-def test_all_parameters_of_the_exchanger_are_profiled_in_few_evaluations():
+def test_exchanger_profiles_need_few_evaluations():
     """Some 1,500 evaluations of 600 samples."""
     rng, k = np.random.default_rng(0), 600
     ranges = {"hot_flow_kg_s": (0.5, 1.2), "ram_flow_kg_s": (0.6, 2.4), "hot_in_k": (370, 430), "cold_in_k": (225, 280)}

@@ -66,7 +66,7 @@ def log_likelihoods(filtered) -> list[float]:
 
 
 @METHODS
-def test_nile_log_likelihood_from_a_wide_and_from_an_exact_diffuse_start(method):
+def test_nile_log_likelihood_from_wide_start(method):
     # statsmodels' approximate diffuse start: variance 1e6 about zero, the first sample's term left out
     filtered = forward(nile(1e6), linearisation(method, 1))
     assert sum(log_likelihoods(filtered)[1:]) == pytest.approx(-632.537695048, abs=1e-8)
@@ -78,7 +78,7 @@ def test_nile_log_likelihood_from_a_wide_and_from_an_exact_diffuse_start(method)
 
 
 @METHODS
-def test_clark_states_equal_those_of_r_with_missing_values(method):
+def test_clark_states_equal_r(method):
     data = np.loadtxt(FOLDER / "clark1989.csv", delimiter=",")[4:]
     expected = np.loadtxt(FOLDER / "results_clark1989_R.csv", delimiter=",", skiprows=1)[:, 1:]
     measured = np.column_stack([np.log(data[:, 0]), data[:, 1] / 100.0])
@@ -106,7 +106,7 @@ def drawn_record(seed, process_sd):
 
 
 @METHODS
-def test_linear_filter_equals_the_kalman_filter_of_filterpy(method):
+def test_linear_filter_equals_filterpy(method):
     problem, F, H = drawn_record(3, [0.1, 0.0, 0.2])
     ours = forward(problem, linearisation(method, 3))
     peer = KalmanFilter(dim_x=3, dim_z=2)
@@ -120,7 +120,7 @@ def test_linear_filter_equals_the_kalman_filter_of_filterpy(method):
 
 
 @METHODS
-def test_smoother_equals_the_solution_of_all_samples_at_once(method):
+def test_smoother_equals_joint_solution(method):
     problem, F, H = drawn_record(4, [0.1, 0.05, 0.2])
     ours = smooth(forward(problem, linearisation(method, 3)))
     k, s = len(problem.measured), 3
@@ -160,7 +160,7 @@ def regression_problem():
 
 
 @pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)
-def test_constant_parameters_of_a_linear_model_are_its_least_squares(estimator):
+def test_linear_filter_equals_least_squares(estimator):
     slope, problem = regression_problem()
     information = slope.T @ slope / 0.04 + np.linalg.inv(problem.prior.cov)
     right = slope.T @ problem.measured[:, 0] / 0.04 + np.linalg.inv(problem.prior.cov) @ problem.prior.mean
@@ -170,7 +170,7 @@ def test_constant_parameters_of_a_linear_model_are_its_least_squares(estimator):
     np.testing.assert_allclose(estimate.identifiability.information, slope.T @ slope / 0.04, rtol=1e-6, atol=1e-6)
 
 
-def test_unscented_filter_equals_that_of_filterpy_on_the_oscillator():
+def test_unscented_filter_equals_filterpy():
     problem = oscillator_problem(5, compiled=False)
     start = Belief(problem.start.mean, np.diag([1e-4, 1e-4]))
     # filterpy keeps no bounds: the guess lies far enough inside them here
@@ -194,7 +194,7 @@ def test_unscented_filter_equals_that_of_filterpy_on_the_oscillator():
         peer.predict()
 
 
-def test_a_covariance_without_a_root_gets_one_and_nothing_known_is_a_start_like_any_other():
+def test_indefinite_covariance_has_a_root():
     indefinite = np.array([[1.0, 1.0 + 1e-9], [1.0 + 1e-9, 1.0]])
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.cholesky(indefinite)
@@ -212,7 +212,7 @@ def test_a_covariance_without_a_root_gets_one_and_nothing_known_is_a_start_like_
 
 @pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)
 @pytest.mark.parametrize("sigma", [1e-12, 1e-3])
-def test_filters_survive_noise_so_small_that_covariances_lose_their_sign(estimator, sigma):
+def test_filters_survive_tiny_noise(estimator, sigma):
     time = np.linspace(0.0, 5.0, 200)
     problem = Problem(
         names=("rate", "level"),

@@ -47,7 +47,7 @@ def swing() -> Problem:
     )
 
 
-def test_a_nets_states_and_its_loss_by_hand():
+def test_net_loss_by_hand():
     time, theta = LAYOUT.time, np.array([1.1, 0.9])
     x = 2.0 * (0.7 * np.tanh(1.5 * time + 0.2) - 0.3 * np.tanh(-0.8 * time + 0.4) + 0.1)
     states, by = _states(WEIGHTS, LAYOUT)
@@ -77,7 +77,7 @@ def test_a_nets_states_and_its_loss_by_hand():
     np.testing.assert_allclose(by_theta, [[[6.0, 12.0]]], rtol=1e-6)
 
 
-def test_a_nets_first_weights_are_the_simulation_and_its_covariance_by_hand():
+def test_first_weights_reproduce_simulation():
     guess = np.column_stack([np.cos(np.linspace(0.0, 6.0, 80)), 3.0 * np.sin(np.linspace(0.0, 6.0, 80))])
     layout = _lay_out(guess, 30)
     np.testing.assert_allclose(layout.size, [1.0, 3.0], rtol=2e-3)
@@ -113,7 +113,7 @@ def lag() -> Problem:
     )
 
 
-def test_a_net_counts_its_steps_and_stops_where_its_parameters_stand_still():
+def test_net_counts_evaluations():
     """Each step differs the model by a state and two parameters: seven passes."""
     one = PhysicsInformedNet(width=8, max_steps=1, polish=False).estimate(lag())
     assert (one.n_evals, one.method, one.status) == (2 * 7, "pinn", "max_steps")
@@ -157,7 +157,7 @@ def train_by_hand(problem, vector, rho, max_steps):
 
 @pytest.mark.parametrize(("rho", "gain"), [(0.1, 0.9), (0.01, 3.0)])
 @pytest.mark.parametrize("most", [1, 2, 5, 100])
-def test_a_net_is_trained_step_by_step(rho, gain, most):
+def test_training_equals_hand_steps(rho, gain, most):
     start = np.concatenate([START[:-2], [gain, 0.8]])
     vector, steps = train_by_hand(lag(), start, rho, most)
     trained, _, n_steps = _train(lag(), start, LAG, rho, max_steps=most)
@@ -165,7 +165,7 @@ def test_a_net_is_trained_step_by_step(rho, gain, most):
     np.testing.assert_allclose(trained[-2:], vector[-2:], rtol=1e-6)
 
 
-def test_products_of_states_and_a_net_that_loses_them():
+def test_state_products_by_hand():
     layout = _lay_out(np.array([[2.0, -4.0], [1.0, 4.0], [-2.0, 0.0]]), 5)
     states = np.array([[1.0, 0.0], [2.0, -4.0]])
     values, slopes = _products(states, layout)
@@ -177,7 +177,7 @@ def test_products_of_states_and_a_net_that_loses_them():
     assert PhysicsInformedNet().estimate(undefined).n_evals == 1
 
 
-def test_an_average_over_models_is_that_of_each_models_own_regression():
+def test_average_equals_exact_mixture():
     """A linear regression: each subset of three terms has its marginal likelihood and posterior by its own formula."""
     rng = np.random.default_rng(3)
     terms, inputs = rng.normal(size=(25, 3)), rng.normal(size=(25, 2))
@@ -238,7 +238,7 @@ def oscillator(seed: int, cubic_n_m3: float) -> Problem:
     )
 
 
-def test_a_missing_force_is_named_and_widens_the_interval():
+def test_missing_force_is_named():
     truth = np.array([0.5, 2.0])
     incomplete = oscillator(1, cubic_n_m3=6.0)
     estimate, plain = PhysicsInformedNet().estimate(incomplete), NonlinearLeastSquares().estimate(incomplete)
@@ -259,7 +259,7 @@ def test_a_missing_force_is_named_and_widens_the_interval():
     [(0.0, "converged", True), (0.32, "converged", True), (0.34, "weakly_identifiable", True),
      (0.66, "weakly_identifiable", True), (0.67, "approximate", False), (1.0, "approximate", False)],
 )  # fmt: skip
-def test_a_record_that_leaves_the_physics_open_is_weakly_identifiable(
+def test_open_physics_is_weakly_identifiable(
     monkeypatch, chance_complete, status, names_a_term
 ):
     average = _Average(np.array([1.1, 0.8]), np.diag([0.04, 0.01]), chance_complete, (1,), 1.0 - chance_complete)
@@ -272,7 +272,7 @@ def test_a_record_that_leaves_the_physics_open_is_weakly_identifiable(
 
 
 @pytest.mark.parametrize(("periods", "width"), [(1, 30), (6, 60), (90, 30)])
-def test_units_double_until_they_fit_the_trajectory(periods, width):
+def test_width_doubles_until_resolved(periods, width):
     swing = np.sin(2.0 * np.pi * periods * np.linspace(0.0, 1.0, 200))[:, None]
 
     assert _resolving_width(swing, 30, seed=0) == width

@@ -100,7 +100,7 @@ def digits(estimate, certified):
 
 
 @pytest.mark.parametrize("name", CERTIFIED)
-def test_least_squares_reaches_certified_digits_from_start_2(name):
+def test_least_squares_reaches_certified_digits(name):
     case = CERTIFIED[name]
     estimate = NonlinearLeastSquares().estimate(case.problem(2))
     expected_digits = 6.0 if case.level == "Lower" else 4.0
@@ -114,7 +114,7 @@ def test_least_squares_reaches_certified_digits_from_start_2(name):
 
 @pytest.mark.parametrize("sigma", [1e-3, 1.0, 30.0])
 @pytest.mark.parametrize("name", CERTIFIED)
-def test_converged_means_certified_digits_whatever_sigma_is_declared(name, sigma):
+def test_converged_holds_for_any_sigma(name, sigma):
     """A sigma declared far too large must not pass a point for the optimum that the record tells from it."""
     case = CERTIFIED[name]
     problem = replace(case.problem(2), sigma=np.full(1, sigma))
@@ -124,19 +124,19 @@ def test_converged_means_certified_digits_whatever_sigma_is_declared(name, sigma
 
 
 @pytest.mark.parametrize("name", [name for name, case in CERTIFIED.items() if case.level != "Higher"])
-def test_least_squares_reaches_certified_digits_from_the_far_start(name):
+def test_far_start_reaches_certified_digits(name):
     case = CERTIFIED[name]
     estimate = NonlinearLeastSquares(max_steps=1000).estimate(case.problem(1))
     assert digits(estimate.belief.mean, case.values) >= (6.0 if case.level == "Lower" else 4.0)
 
 
-def test_where_the_far_start_fails_it_is_said():
+def test_failed_far_start_is_reported():
     for name in ("BoxBOD", "MGH10"):
         estimate = NonlinearLeastSquares().estimate(CERTIFIED[name].problem(1))
         assert estimate.status in ("not_identifiable", "max_steps")
 
 
-def test_filter_in_a_local_optimum_names_the_better():
+def test_filter_names_better_optimum():
     case = CERTIFIED["ENSO"]
     noise_sd = np.sqrt(case.sum_of_squares / (len(case.x) - len(case.values)))
     problem = replace(case.problem(2), sigma=np.array([noise_sd]))
@@ -160,7 +160,7 @@ WIDE = {
 
 
 @pytest.mark.parametrize("name", WIDE)
-def test_swarm_reaches_certified_sum_of_squares_from_wide_bounds(name):
+def test_swarm_reaches_certified_residuals(name):
     case = CERTIFIED[name]
     problem = case.problem(1, bounds=np.array(WIDE[name]))
     estimate = ParticleSwarm(n_particles=60, n_iterations=200).estimate(problem)

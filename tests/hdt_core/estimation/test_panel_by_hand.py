@@ -107,7 +107,7 @@ def dense(panel: Panel, n_steps: int):
 
 @pytest.mark.parametrize("has_instruments", [True, False])
 @pytest.mark.parametrize("n_steps", [1, 2, 6])
-def test_it_is_generalised_least_squares_through_instruments(n_steps, has_instruments):
+def test_panel_equals_generalised_least_squares(n_steps, has_instruments):
     declared = panel() if has_instruments else panel(instruments=None)
     estimate, units = PanelLeastSquares(max_steps=n_steps, tolerance=0.0, max_step=9.0).estimate(declared)
     design, cov, dense_units = dense(declared, n_steps)
@@ -121,7 +121,7 @@ def test_it_is_generalised_least_squares_through_instruments(n_steps, has_instru
 
 
 @pytest.mark.parametrize("sure", [1.0, 1e-3])
-def test_steps_end_from_the_seventh_on_where_the_design_stands_still(sure):
+def test_steps_end_once_design_settles(sure):
     """Within a ten-thousandth in every coordinate; with a design that is known beforehand that is soon."""
     declared = panel(prior=Belief(np.zeros(P), sure**2 * np.eye(P)))
     estimates = [PanelLeastSquares(max_steps=n).estimate(declared)[0] for n in range(1, 16)]
@@ -137,7 +137,7 @@ def test_steps_end_from_the_seventh_on_where_the_design_stands_still(sure):
     np.testing.assert_array_equal(whole.belief.mean, designs[-1])
 
 
-def test_a_step_is_a_half_at_most_and_derivatives_go_downwards_below_a_bound():
+def test_step_is_half_at_most():
     far = PanelLeastSquares(max_steps=1).estimate(panel(prior=Belief(np.full(P, 4.0), 1e9 * np.eye(P))))[0]
     np.testing.assert_array_equal(far.belief.mean, 3.5)
     slopes = forward_differences(lambda x: np.array([x[0] ** 2, x @ x]), np.ones(2), np.array([1.0, 2.0]),
@@ -146,7 +146,7 @@ def test_a_step_is_a_half_at_most_and_derivatives_go_downwards_below_a_bound():
 
 
 @pytest.mark.parametrize("limits", [(-9.0, 0.05), (0.5, 9.0)])
-def test_a_bound_holds_a_parameter_and_the_others_follow(limits):
+def test_others_follow_bounded_parameter(limits):
     """The optimum inside the bounds by the normal equations at that point; a fixed one has no variance."""
     bounds = np.array([limits, [-9.0, 9.0], [0.2, 0.2]])
     settings = PanelLeastSquares(max_steps=60, tolerance=1e-12, cauchy_sd=1e9, steps_before_jumps=99)
@@ -163,7 +163,7 @@ def test_a_bound_holds_a_parameter_and_the_others_follow(limits):
     np.testing.assert_allclose(estimate.belief.cov[:2, :2], np.linalg.inv(held), rtol=1e-6)
 
 
-def test_what_neither_rows_nor_prior_show_stays_open_and_without_rows_the_priors_stand():
+def test_unobserved_parameter_stays_open():
     blind = equation(np.random.default_rng(3), 0.03, 2.0)
     no_third = Equation(lambda d, u: blind.residual(np.r_[d[:2], 0.0], u), 0.03, 2.0)
     prior = Belief(np.zeros(P), np.diag([1.0, 1.0, np.inf]))

@@ -28,7 +28,7 @@ def line(measured=None, prior=None, **more):
     )
 
 
-def test_one_point_and_a_swarm_are_simulated_alike_and_half_a_record_is_the_others_prior():
+def test_swarm_simulates_as_single_points():
     problem = line()
     thetas = np.random.default_rng(0).normal(size=(4, 2))
     many = problem.simulate(thetas)
@@ -67,7 +67,7 @@ def walk(seed):
 
 
 @pytest.mark.parametrize("estimator", [ExtendedKalman(), ParticleFilter(n_particles=1500)], ids=lambda e: e.name)
-def test_a_parameter_that_drifts_is_followed(estimator):
+def test_filter_follows_drifting_parameter(estimator):
     level, problem = walk(3)
     estimate = estimator.estimate(problem)
     rms = np.sqrt(np.mean((estimate.path[20:, 0] - level[20:]) ** 2))
@@ -79,7 +79,7 @@ def test_a_parameter_that_drifts_is_followed(estimator):
     assert estimate.path_sd[-1, 0] == pytest.approx(after, rel=0.02 if estimator.name == "ekf" else 0.25)
 
 
-def test_particles_carry_states_that_are_drawn():
+def test_recovers_pole_under_process_noise():
     rng = np.random.default_rng(9)
     x, measured = 0.0, []
     for _ in range(150):
@@ -128,7 +128,7 @@ def decays(**more) -> Batch:
         ({"bounds": np.array([[-9.0, 9.0], [1.0, 1.0]])}, []),
     ],
 )
-def test_a_batch_is_its_problems_one_by_one(more, open_ones):
+def test_batch_equals_single_problems(more, open_ones):
     batch = decays(**more)
     together = estimate_each(NonlinearLeastSquares(), batch)
     assert (batch.n_problems, len(together)) == (7, 7)
@@ -147,7 +147,7 @@ def test_a_batch_is_its_problems_one_by_one(more, open_ones):
     assert [b for b, e in enumerate(together) if e.status == "weakly_identifiable"] == open_ones
 
 
-def test_where_the_model_fails_only_that_problem_diverges_and_a_batch_has_no_states():
+def test_failed_model_diverges_alone():
     batch = decays(
         observe=lambda _x, theta, i: np.where(GROUP[i] == 2, np.nan, theta[0] * np.exp(-theta[1] * TIME[i]))[None]
     )
@@ -160,7 +160,7 @@ def test_where_the_model_fails_only_that_problem_diverges_and_a_batch_has_no_sta
         decays(group=GROUP[:-1])
 
 
-def test_a_method_without_a_batch_goes_one_by_one_from_the_last_that_converged():
+def test_sequence_starts_from_last_converged():
     starts: list = []
 
     class Recorder:

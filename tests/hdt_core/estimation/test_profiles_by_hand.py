@@ -46,12 +46,12 @@ def bend(c, bounds=(-np.inf, np.inf), prior=None):
         (2.0, (-0.62, 0.65), 1.0, True, True), (2.0, (-1.24, 1.24), 4.0, True, False),
     ],
 )  # fmt: skip
-def test_a_likelihood_is_bent_from_half_or_twice_what_curvature_foresees(c, bounds, variance, has_prior, bent):
+def test_bent_likelihood_is_nonquadratic(c, bounds, variance, has_prior, bent):
     problem, at = bend(c, bounds, Belief(np.zeros(1), np.array([[1e6]])) if has_prior else None)
     assert is_nonquadratic(problem, [at], np.array([variance])).tolist() == [bent]
 
 
-def test_a_bend_beside_a_held_parameter_and_along_principal_axes():
+def test_bend_shows_along_principal_axes():
     pair = Problem(
         ("x", "y", "z"),
         np.array([[-9.0, 9.0], [3.0, 3.0], [-9.0, 9.0]]),
@@ -79,7 +79,7 @@ def line(cloud=None, **more) -> Problem:
 
 
 @pytest.mark.parametrize("variance", [1.0, 4.0])
-def test_profiles_of_a_straight_line_are_its_deviations(variance):
+def test_line_profile_equals_deviation(variance):
     cloud: list = []
     problem = line(cloud)
     at = descend(problem, np.zeros(2))
@@ -102,7 +102,7 @@ def test_profiles_of_a_straight_line_are_its_deviations(variance):
     assert (wall.interval[1, 0], wall.open.tolist()) == (0.49, [[False, False], [True, False]])
 
 
-def test_with_one_parameter_held_the_others_follow_and_an_interval_may_be_endless():
+def test_refit_follows_fixed_parameter():
     """The guess is the optimum of a straight line: two objectives, one linearisation, and no step."""
     problem = line()
     at = descend(problem, np.zeros(2))
@@ -146,7 +146,7 @@ def crossing_by_hand(rise, near, far, target):
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_end_of_an_interval_is_met_by_false_position(monkeypatch, rise, sign):
+def test_crossing_uses_false_position(monkeypatch, rise, sign):
     trials: list = []
 
     def refit(_problem, near, i, value):
@@ -163,7 +163,7 @@ def test_the_end_of_an_interval_is_met_by_false_position(monkeypatch, rise, sign
     assert (end, passes) == (pytest.approx(want), 10 * len(visits))
 
 
-def test_descents_of_the_checks_have_sixty_steps_and_refits_twenty_five(monkeypatch):
+def test_checks_limit_their_steps(monkeypatch):
     most: list = []
     problem, at = line(), descend(line(), np.zeros(2))
     for name, answer in (("descend", at), ("descend_each", [at])):
@@ -176,7 +176,7 @@ def test_descents_of_the_checks_have_sixty_steps_and_refits_twenty_five(monkeypa
 
 
 @pytest.mark.parametrize(("sd", "ends"), [(1.01 / 2**11, True), (0.99 / 2**11, False)])
-def test_an_interval_is_looked_for_over_twelve_doublings(sd, ends):
+def test_interval_search_doubles_twelve_times(sd, ends):
     """x seen as 0 with a sigma of 1: the end is 1.96, the first stretch 1.96 of what is taken for sd."""
     problem, at = bend(0.0)
     profile = profile_intervals(problem, at, np.array([[sd**2]]))
@@ -184,7 +184,7 @@ def test_an_interval_is_looked_for_over_twelve_doublings(sd, ends):
     np.testing.assert_allclose(profile.interval, [[-1.96, 1.96]] if ends else [[-np.inf, np.inf]], rtol=0.02)
 
 
-def test_a_search_descends_from_the_best_four_that_are_no_neighbours():
+def test_search_starts_from_distinct_points():
     """Neighbours lie within a twentieth of the box in every direction; without an answer nothing is begun."""
     cloud = np.array([[0.0, 0.0], [0.049, 0.49], [0.051, 0.0], [0.0, 0.51], [0.5, 5.0], [0.9, 9.0], [1.0, 0.0]])
     objectives = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
@@ -196,7 +196,7 @@ def test_a_search_descends_from_the_best_four_that_are_no_neighbours():
     np.testing.assert_array_equal(_distinct_points(cloud, objectives, width * [1.0, 0.0]), cloud[[0, 1, 2]])
 
 
-def test_a_search_for_a_better_optimum_fills_box_and_magnitudes():
+def test_search_fills_the_box():
     """128 points for two or three free parameters; every other one at another order of magnitude of the present."""
     cloud: list = []
     bounds = np.array([[-50.0, 50.0], [-20.0, 50.0]])
@@ -237,14 +237,14 @@ A = np.column_stack([np.ones(12), X12]) / 0.1
 
 
 @pytest.mark.parametrize(("off", "status"), [(0.93e-9, "converged"), (1.07e-9, "max_steps")])
-def test_without_noise_an_optimum_is_met_to_rounding(off, status):
+def test_noiseless_optimum_is_met_to_rounding(off, status):
     theta = np.array([1.0 + off / np.linalg.norm(A[:, 0]), 0.5])
     assert conclude(line(), theta, "max_steps", 1).status == status
 
 
 @pytest.mark.parametrize(("share", "status"), [(0.9, "at_bound"), (1.1, "converged")])
 @pytest.mark.parametrize("side", [0, 1])
-def test_at_a_bound_is_a_thousandth_of_a_deviation(share, status, side):
+def test_bound_counts_within_thousandth_deviation(share, status, side):
     prior = Belief(np.array([1.0, 0.5]), 25.0 * np.eye(2))
     bounds = np.tile([-50.0, 50.0], (2, 1))
     sd = np.sqrt(np.diag(np.linalg.inv(A.T @ A + np.eye(2) / 25.0)))
@@ -258,7 +258,7 @@ def test_at_a_bound_is_a_thousandth_of_a_deviation(share, status, side):
 
 
 @pytest.mark.parametrize(("half", "weak"), [(2.95, ("slope",)), (3.05, ())])
-def test_data_that_leave_six_deviations_in_the_range_have_hardly_narrowed_it(half, weak):
+def test_estimate_wide_in_range_is_weak(half, weak):
     noise = 0.1 * np.where(np.arange(12) % 4 % 3 == 0, 1.0, -1.0)  # of the declared variance, across offset and slope
     problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None])
     estimate = NonlinearLeastSquares().estimate(problem)
@@ -271,7 +271,7 @@ def test_data_that_leave_six_deviations_in_the_range_have_hardly_narrowed_it(hal
 @pytest.mark.parametrize(
     ("samples", "rho", "has_profile"), [(200, 0.5, True), (202, 0.5, False), (202, 0.705, False), (202, 0.709, True)]
 )
-def test_a_bell_is_taken_for_granted_from_many_values_well_apart(samples, rho, has_profile):
+def test_many_values_need_no_profile(samples, rho, has_profile):
     """A hundred values a parameter and a determinant 1 - rho^2 of a half: the bend is then not looked for."""
     wave = np.sqrt(2.0 / samples) * np.cos(2.0 * np.pi * np.outer([1.0, 2.0, 3.0], np.arange(samples)) / samples)
     u, v = wave[0], rho * wave[0] + np.sqrt(1.0 - rho**2) * wave[1]
@@ -284,7 +284,7 @@ def test_a_bell_is_taken_for_granted_from_many_values_well_apart(samples, rho, h
 
 
 @pytest.mark.parametrize("own", [None, np.array([[0.02, 0.001], [0.001, 0.03]])])
-def test_where_residuals_contradict_sigma_the_data_count_by_their_own_variance(own):
+def test_excess_residuals_widen_covariance(own):
     noise = 0.4 * np.where(np.arange(12) % 2 == 0, 1.0, -1.0)
     prior = Belief(np.array([1.0, 0.5]), np.diag([0.01, 0.02]))
     problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None], prior=prior)
@@ -305,7 +305,7 @@ def test_where_residuals_contradict_sigma_the_data_count_by_their_own_variance(o
 
 
 @pytest.mark.parametrize(("variance", "counted"), [(1.1, 1.1), (0.9, 1.0)])
-def test_of_many_values_a_tenth_more_variance_counts_and_a_tenth_less_does_not(variance, counted):
+def test_only_excess_variance_counts(variance, counted):
     """Four thousand of a constant, with a sigma of 1; residuals lie at both sides of it in turn."""
     y = np.sqrt(variance * 3999.0 / 4000.0) * (-1.0) ** np.arange(4000)
     problem = Problem(("x",), np.array([[-9.0, 9.0]]), unknown(np.zeros(1)), y[:, None], np.ones(1),

@@ -95,7 +95,7 @@ def test_samples_between_steps_are_exact(compiled):
 
 
 @EACH_FORM
-def test_inputs_are_held_until_they_change(compiled):
+def test_inputs_hold_between_changes(compiled):
     problem, theta = exchanger(compiled=compiled), np.array([1500.0, 3000.0])
 
     states = problem.trajectory(theta[:, None], N_SAMPLES)
@@ -104,7 +104,7 @@ def test_inputs_are_held_until_they_change(compiled):
 
 
 @EACH_FORM
-def test_samples_advance_side_by_side_as_alone(compiled):
+def test_batched_transition_equals_single(compiled):
     problem, theta, x = exchanger(compiled=compiled), np.array([1500.0, 3000.0]), np.array([350.0, 280.0])
     samples = np.array([0, 7, 40])
 
@@ -115,7 +115,7 @@ def test_samples_advance_side_by_side_as_alone(compiled):
 
 
 @EACH_FORM
-def test_stiff_column_leaves_the_others_alone(compiled):
+def test_stiff_column_leaves_others_alone(compiled):
     problem = oscillator(compiled=compiled)
 
     states = problem.trajectory(np.array([[1.7, 4000.0]]), N_SAMPLES)
@@ -125,7 +125,7 @@ def test_stiff_column_leaves_the_others_alone(compiled):
 
 
 @EACH_FORM
-def test_column_without_rates_is_nan_alone(compiled):
+def test_failed_column_is_nan_alone(compiled):
     states = oscillator(compiled=compiled).trajectory(np.array([[1.7, np.nan]]), N_SAMPLES)
 
     assert np.isnan(states[-1, :, 1]).all()
@@ -133,14 +133,14 @@ def test_column_without_rates_is_nan_alone(compiled):
 
 
 @EACH_FORM
-def test_least_squares_finds_the_damping(compiled):
+def test_least_squares_recovers_damping(compiled):
     estimate = NonlinearLeastSquares().estimate(oscillator(compiled=compiled))
 
     assert estimate.status == "converged"
     assert abs(estimate.belief.mean[0] - 1.7) < 4.0 * estimate.belief.sd[0]
 
 
-def test_net_converges_on_a_relaxing_oscillator():
+def test_net_converges_on_relaxing_oscillator():
     problem = oscillator()
 
     estimate = PhysicsInformedNet().estimate(problem)
@@ -150,13 +150,13 @@ def test_net_converges_on_a_relaxing_oscillator():
 
 
 @EACH_FORM
-def test_rates_that_are_not_compiled_serve(compiled):
+def test_uncompiled_rates_are_integrated(compiled):
     states = oscillator(with_others, compiled=compiled).trajectory(np.array([[1.7]]), N_SAMPLES)
 
     np.testing.assert_allclose(states[:, 0, 0], exact(1.7)[0], atol=1e-6)
 
 
-def test_derivatives_come_in_the_pass_of_the_residual():
+def test_linearised_equals_separate_derivatives():
     problem, theta = oscillator(), np.array([1.4])
 
     residual, slope = problem.linearised(theta)

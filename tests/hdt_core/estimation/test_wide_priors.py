@@ -24,7 +24,7 @@ def saturating() -> Problem:
     )
 
 
-def test_polished_filter_states_the_deviation_of_the_data():
+def test_polished_filter_states_data_deviation():
     problem = saturating()
 
     estimate = UnscentedKalman().estimate(problem)
@@ -33,7 +33,7 @@ def test_polished_filter_states_the_deviation_of_the_data():
     assert estimate.belief.sd == pytest.approx(NonlinearLeastSquares().estimate(problem).belief.sd, rel=0.01)
 
 
-def test_drifting_parameter_keeps_the_deviation_of_the_filter():
+def test_drifting_parameter_keeps_filter_deviation():
     still = saturating()
     drifting = replace(still, prior=Belief(np.array([1500.0]), np.array([[100.0]])), drift=np.array([100.0]))
 
