@@ -62,7 +62,7 @@ def both_tracks(flights: pl.DataFrame) -> pl.DataFrame:
     return track_component(flights, replace(HX, model=BUILT), log(), DesignOffset(0.0, 0.0)).health
 
 
-def test_the_exchanger_goes_the_same_way_and_a_flight_without_an_answer_is_predicted(flights):
+def test_losses_scatter_as_stated(flights):
     """Each flight's loss lies where its own standard deviation says, 120 times over."""
     z = (flights["hx_fouling"].to_numpy() - LOSS) / flights["hx_fouling_sd"].to_numpy()
     assert set(flights["status"]) == {"converged"}
@@ -76,7 +76,7 @@ def test_the_exchanger_goes_the_same_way_and_a_flight_without_an_answer_is_predi
     assert track["sd"][50] > track["sd"][49]
 
 
-def test_another_estimator_says_the_same_and_the_twin_explains_the_rest(samples, flights):
+def test_estimators_agree_on_losses(samples, flights):
     some = samples.filter(pl.col("flight_id") < "T-00_010")
     other = flight_by_flight(some, BUILT, ["hx_fouling"], estimator=ExtendedKalman())
     np.testing.assert_allclose(other["hx_fouling"], flights["hx_fouling"][:10], atol=2e-3)
@@ -93,7 +93,7 @@ def test_another_estimator_says_the_same_and_the_twin_explains_the_rest(samples,
         tracked(flights.clear())
 
 
-def test_filtering_steadies_looks_at_nothing_to_come_and_a_smoothed_loss_lies_nearer(flights):
+def test_filtering_reduces_scatter(flights):
     track = tracked(flights)
     rough, smooth = (np.abs(f.to_numpy() - LOSS)[5:30].std() for f in (flights["hx_fouling"], track["value"]))
     assert smooth < 0.8 * rough
@@ -110,7 +110,7 @@ def test_filtering_steadies_looks_at_nothing_to_come_and_a_smoothed_loss_lies_ne
     assert smoothed["value"][-1] == pytest.approx(filtered["value"][-1])
 
 
-def test_samples_that_leave_a_design_open_are_said_to():
+def test_unidentifiable_design_is_refused():
     still = flown(0.5).head(SAMPLES)
     constant = [pl.col(s.name).first() for s in HEAT_EXCHANGER.inputs]
     with pytest.raises(ValueError, match=r"heat_exchanger: .* from 12 nominal samples: not_identifiable"):
@@ -147,7 +147,7 @@ CHILLER = PhysicsModel(
 
 
 @pytest.mark.parametrize(("flow_spread", "weak"), [(0.01, ("flow_exponent",)), (0.2, ())])
-def test_a_chiller_whose_flow_hardly_varies_leaves_its_exponent_open(flow_spread, weak):
+def test_steady_flow_leaves_exponent_open(flow_spread, weak):
     """An exponent of 0.8 +- 0.26 is an optimum, and no ground for a loss at other flows."""
     rng, n = np.random.default_rng(4), 300
     nominal = pl.DataFrame(
@@ -165,7 +165,7 @@ def test_a_chiller_whose_flow_hardly_varies_leaves_its_exponent_open(flow_spread
     assert abs(estimate.belief.mean[1] - 0.8) < 4.0 * estimate.belief.sd[1]
 
 
-def test_one_stray_flight_moves_little_and_a_step_is_followed_from_its_second_flight(flights):
+def test_stray_flight_moves_little(flights):
     stray = pl.when(pl.col("flight_id") == "T-00_045").then(pl.col("hx_fouling") - 0.3).otherwise("hx_fouling")
     clean, struck = (tracked(f) for f in (flights, flights.with_columns(stray.alias("hx_fouling"))))
     difference = (struck["value"] - clean["value"]).abs()
@@ -188,7 +188,7 @@ def accuracy_pct(rows: pl.DataFrame) -> float:
     return 100.0 * float((predicted == y).mean())
 
 
-def test_conductance_is_what_the_owners_of_the_rig_set_on_every_cycle(rig):
+def test_conductance_follows_rig_settings(rig):
     assert rig["flights"].height == 2205
     assert set(rig["flights"]["status"]) == {"converged"}
     assert rig["fit"].status == "converged"
@@ -206,7 +206,7 @@ def test_conductance_is_what_the_owners_of_the_rig_set_on_every_cycle(rig):
     assert accuracy_pct(rig["settled"]) == 100.0
 
 
-def test_other_faults_hardly_move_it(rig):
+def test_other_faults_hardly_move_conductance(rig):
     """In per cent of the setting's median: on average over the settings, from the last three
     cycles before a change of valve, pump or accumulator to the first three after it, in points of the conductance as
     built, and of a level's median by setting."""
@@ -237,7 +237,7 @@ def test_other_faults_hardly_move_it(rig):
     assert (at_change.max(), at_change.median()) == pytest.approx((4.2, 0.6), abs=0.05)
 
 
-def test_the_twin_explains_the_rig_and_features_see_its_two_repairs_alone(rig):
+def test_twin_explains_the_rig(rig):
     """As cycles go by, what is left is below the declared noise of the sensor."""
     left = rig["residuals"].filter(pl.col("kind") == "sensor_minus_twin")
     assert left["rms"].median() < 0.1

@@ -39,7 +39,7 @@ VALVE = PhysicsModel(
 COMPONENT = Component("VALVE", "valve", "Area lost", VALVE, "valve_loss", Limit(0.2, 0.03, 0.02), 800.0, "Clean it")
 
 
-def test_wear_is_brought_to_the_exchangers_by_the_loss_and_life_at_which_it_fails():
+def test_wear_settings_scale_with_limit():
     """The exchanger fails at 38 % after 400 flights: a valve at 20 % after 800 wears less, and at half the rate."""
     size, own = wear_settings(COMPONENT, VALVE.param("valve_loss"), DesignOffset(0.0, 0.1))
     assert size == pytest.approx(np.log(0.8) / np.log(0.62))
@@ -59,7 +59,7 @@ def test_wear_is_brought_to_the_exchangers_by_the_loss_and_life_at_which_it_fail
 
 
 @pytest.mark.parametrize(("n", "scatter"), [(8, 0.005), (9, (1.4826**2 * 0.03**2 / 2.0 - 0.01**2) ** 0.5)])
-def test_flights_scatter_as_the_steps_of_their_pack_show(n, scatter):
+def test_scatter_follows_flight_steps(n, scatter):
     """From eight steps on, less what a flight is unsure of itself."""
     values = np.tile([0.0, 0.03], n)[:n]
     assert scatter_sd(values, np.full(n, 0.01**2)) == pytest.approx(scatter)
@@ -71,7 +71,7 @@ def test_flights_scatter_as_the_steps_of_their_pack_show(n, scatter):
     np.testing.assert_allclose(variance, 0.01**2 + scatter**2)
 
 
-def test_a_flight_that_says_nothing_is_predicted():
+def test_silent_flight_is_predicted():
     """One that does, as the wear it has beyond the declared design's: its own deviation, and the least scatter."""
     status = pl.Series(["converged", "diverged", "not_identifiable", "converged"])
     rows = flights(4, valve_loss=[0.01, 0.7, 0.7, 0.02], valve_loss_sd=0.01).with_columns(status=status)
@@ -87,7 +87,7 @@ def test_a_flight_that_says_nothing_is_predicted():
     np.testing.assert_array_equal(exposure, np.ones(4))
 
 
-def test_a_night_continues_from_the_last_checkpoint_as_if_all_had_flown_at_once():
+def test_night_continues_from_checkpoint():
     losses = 0.001 * np.arange(160) + np.tile([0.0, 0.01], 80)
     early, whole = (flights(n, valve_loss=losses[:n], valve_loss_sd=0.01) for n in (120, 160))
     at_once, before = (track_component(rows, COMPONENT, log(), seal="1") for rows in (whole, early))
@@ -102,7 +102,7 @@ def test_a_night_continues_from_the_last_checkpoint_as_if_all_had_flown_at_once(
     assert anew.filter(status="of the night before").is_empty()
 
 
-def test_a_design_has_a_prior_where_the_declaration_says_it_of_each():
+def test_design_prior_needs_every_deviation():
     sure, unsure = Param("a", "-", 2.0, (0.0, 5.0), "design", sd=0.3), Param("b", "-", 1.0, (0.0, 5.0), "design")
     both = replace(VALVE, params=(sure, replace(unsure, sd=0.5)), equations=lambda flow_kg_s, a, b: flow_kg_s * a * b)
     prior = design_prior(both)
@@ -130,7 +130,7 @@ def read(values: list[float | None], **changes: object) -> dict[str, object]:
     return component_readings(samples, replace(HXT, readings=(reading,))).row(0, named=True)
 
 
-def test_a_reading_is_the_mean_of_samples_without_spikes():
+def test_reading_is_mean_without_spikes():
     """Five robust deviations from the median: the median deviation is 1, so 7.4 away."""
     row = read([298.0, 299.0, 300.0, 301.0, 302.0, 307.0, 308.9])
     assert row["status"] == "measured"
@@ -154,7 +154,7 @@ def test_a_reading_is_the_mean_of_samples_without_spikes():
         ([300.0] * 9 + [399.9], None, "measured"),
     ],
 )
-def test_what_a_flight_says_of_a_reading(values, where, status):
+def test_reading_status_follows_samples(values, where, status):
     row = read(values, where=where)
     assert row["status"] == status
     assert (row["value"] is None) == (status in ("few_samples", "not_recorded", "off_nominal"))
@@ -199,7 +199,7 @@ def run_component(signals: pl.DataFrame, component) -> tuple[pl.DataFrame, pl.Da
     return design, health, component_readings(samples, component)
 
 
-def test_few_flights_and_effectiveness_above_one_leave_the_prior():
+def test_few_flights_keep_prior():
     few = [run_component(flown([0.0] * n, spray=0.0), COOLER) for n in (1, 9)]
     for design, health, _ in few:
         assert design["n_flights"].unique().to_list() == [0]
@@ -215,7 +215,7 @@ def test_few_flights_and_effectiveness_above_one_leave_the_prior():
     assert health["status"].to_list() == ["prior_only"] * 2
 
 
-def test_a_unit_that_the_log_calls_new_is_one_however_small_it_was_made():
+def test_logged_unit_counts_as_new():
     signals = flown([0.0] * 35 + [0.06] * 5)  # as made, the second unit is 6 % smaller
     work = pl.DataFrame([("AAA", "T-1", 1, "HXT", "REPLACED", date(2024, 2, 5))], NO_WORK.schema, orient="row")
     samples = component_samples(signals, SPRAYED)
@@ -228,7 +228,7 @@ def test_a_unit_that_the_log_calls_new_is_one_however_small_it_was_made():
     assert old["value"].item() - 1.645 * old["sd"].item() < 0.06 < old["value"].item() + 1.645 * old["sd"].item()
 
 
-def test_accepted_spray_is_found_and_a_signal_that_is_not_recorded_is_said():
+def test_recovers_accepted_spray():
     design, health, _ = run_component(flown([0.0] * 60 + [0.3] * 5), SPRAYED)
     values = dict(design.select("parameter", "value").rows())
     assert values["hxt_ntu"] == pytest.approx(TRUE["hxt_ntu"], rel=0.03)
@@ -245,7 +245,7 @@ def test_accepted_spray_is_found_and_a_signal_that_is_not_recorded_is_said():
     assert status["hxt_effectiveness"] in {"measured", "one_or_more"}
 
 
-def test_the_papers_coefficients_where_the_outlets_allow():
+def test_lumped_coefficients_need_outlet_difference():
     """The outlets are known to 1 K each: their difference must be four times its deviation."""
     outlets = [300.0, 315.0, 330.0, None]
     at = {"hx_in_k": 400.0, "hx_out_k": 320.0, "tat_k": 250.0, "pack_flow_kg_s": 0.8, "ram_flow_kg_s": 1.6}
@@ -261,7 +261,7 @@ def test_the_papers_coefficients_where_the_outlets_allow():
 
 
 @pytest.mark.parametrize(("across_k", "is_ok"), [(5.6, False), (5.7, True)])
-def test_a_difference_counts_from_four_deviations_on(across_k, is_ok):
+def test_difference_counts_from_four_deviations(across_k, is_ok):
     row = flights(1, hx_in_k=400.0, hx_out_k=300.0 + across_k, tat_k=250.0, ram_out_k=300.0, pack_flow_kg_s=0.8,
                    ram_flow_kg_s=1.6)  # fmt: skip
     assert (lumped_coefficients(row)["status"] == "ok").all() == is_ok

@@ -48,7 +48,7 @@ def samples(lift: list[float], each: int = 4, speed: float = 1.0) -> pl.DataFram
     return rows.with_columns(speed=pl.lit(speed)).sort("time_utc")
 
 
-def test_a_flight_of_three_samples_speaks_from_where_the_last_one_ended():
+def test_flights_start_from_last_converged():
     starts: list = []
 
     def estimate(problem):
@@ -72,13 +72,13 @@ def test_a_flight_of_three_samples_speaks_from_where_the_last_one_ended():
     [([-1.0] * 10 + [0.0] * 3 + [1.0] * 10, 7.36, 0), ([-1.0] * 10 + [0.0] * 3 + [1.0] * 10, 7.46, 1),
      ([-1.0] * 10 + [0.0] * 3 + [1.0] * 10, -7.46, 1), ([0.0] * 9, 4.9e-9, 0), ([0.0] * 9, 5.1e-9, 1)],
 )  # fmt: skip
-def test_a_stray_lies_five_robust_deviations_off(calm, off, stray):
+def test_stray_lies_five_deviations_off(calm, off, stray):
     """Half of the flights lie within 1 of the median: a deviation is 1.4826; without any scatter a billionth."""
     assert _strays(flights(len(calm) + 1, pmp_loss=[*calm, off]), "pmp_loss").height == stray
 
 
 @pytest.mark.parametrize(("life", "flights_taken"), [(50.0, 10), (99.0, 10), (300.0, 30), (2000.0, 100)])
-def test_a_tenth_of_a_life_is_as_built_ten_to_a_hundred_flights(life, flights_taken):
+def test_first_tenth_of_life_is_baseline(life, flights_taken):
     part = Component(*(getattr(PART, f) for f in ("code", "name", "lost", "model", "loss", "limit")), life, "look")
     reason = pl.when(pl.int_range(150) == 3).then(pl.lit("SHORT")).otherwise("reason")
     legs = flights(150, reason="").with_columns(reason.alias("reason"))
@@ -92,7 +92,7 @@ def test_a_tenth_of_a_life_is_as_built_ten_to_a_hundred_flights(life, flights_ta
 
 
 @pytest.mark.parametrize(("n", "n_rows"), [(9, 0), (10, 2)])
-def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, n_rows):
+def test_ten_flights_calibrate_a_pack(n, n_rows):
     rng = np.random.default_rng(1)
     rows = samples([1.8] * n, 5).with_columns(speed=pl.Series(rng.uniform(0.5, 1.5, 5 * n)))
     rows = rows.with_columns(lift=1.9 * pl.col("speed") + pl.Series(0.01 * rng.standard_normal(5 * n)))
@@ -110,7 +110,7 @@ def test_ten_flights_calibrate_a_pack_and_one_that_stands_apart_is_left_out(n, n
         assert design[0][1] == pytest.approx(1.9, abs=0.01)
 
 
-def test_the_declared_method_estimates_design_and_health():
+def test_declared_estimator_is_used():
     rows = samples([1.9 + 0.01 * (-1) ** k for k in range(12)])
     legs = rows.select(LEG).unique(maintain_order=True).with_columns(reason=pl.lit(""))
     none = log()
@@ -130,7 +130,7 @@ def test_the_declared_method_estimates_design_and_health():
         declared_estimator(replace(PART, estimator="guess"))
 
 
-def test_reasons_of_the_second_level():
+def test_second_level_names_its_reasons():
     legs = flights(4, reason=["SHORT", "", "", ""])
     key, pack = legs.select(LEG), legs.select(PACK).unique()
     own = _second_level(legs, key[2:3], pack)
@@ -142,13 +142,13 @@ def test_reasons_of_the_second_level():
 
 
 @pytest.mark.parametrize(("loss", "status"), [(-0.0991, "not_identifiable"), (-0.0989, "converged")])
-def test_a_loss_at_its_lower_bound_says_nothing(loss, status):
+def test_loss_at_bound_is_unidentifiable(loss, status):
     """A thousandth of the span of 1 above -0.1."""
     rows = flights(1, pmp_loss=loss).with_columns(status=pl.lit("converged"))
     assert _reject_beyond_range(rows, samples([1.0]), PART)["status"].to_list() == [status]
 
 
-def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_design():
+def test_flights_move_the_prior():
     """A lift of 1.7 is a loss of 0.15 at a size of 2 m, of 0.19 at 2.1 m, as large as it may be."""
     built = design_offset(samples([1.7, 1.7]), PUMP, PART)
     assert built == (pytest.approx(0.0, abs=1e-6), pytest.approx(np.log(2.1 / 2.0), abs=1e-6), None)
@@ -162,7 +162,7 @@ def test_the_prior_is_moved_by_what_flights_say_and_stays_as_unsure_as_the_desig
     assert set(health["status"]) == {"prior_only"}
 
 
-def test_packs_come_as_the_design_names_them_and_rest_on_its_prior_where_no_flight_calibrate_pack_it():
+def test_pack_models_follow_design_order():
     sizes = np.linspace(1.0, 2.0, 40)
     design = pl.DataFrame(
         {
@@ -197,7 +197,7 @@ IDS = [["a0", "a1", "a2", "a3"], ["b0", "b1"]]
         ([1, 2, 3], [["a0", "x", "y", "z"], ["b0"]], [0, 0]),
     ],
 )  # fmt: skip
-def test_a_night_goes_on_one_segment_before_the_last_that_stands(segments, now, begin):
+def test_night_resumes_before_last_segment(segments, now, begin):
     state = start(Settings(0.0, 0.01, 0.05))
     stored = checkpoint_rows(PACKS, IDS, read_checkpoints(None, PACKS, IDS), {(0, c): state for c in [0, *segments]})
     assert stored["chapter"].unique().sort().to_list() == segments

@@ -34,7 +34,7 @@ def machines(loss: np.ndarray, **columns: object) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("name", LOSSES)
-def test_a_first_flight_weighs_every_pace_and_every_wear_at_entry(name):
+def test_first_flight_weighs_every_hypothesis(name):
     """In units where failure is the exchanger's, 38 % lost; lives are five times the exchanger's."""
     failure, unit_sd, level_sd, scatter = LOSSES[name]
     size = np.log(1.0 - failure) / np.log(0.62)
@@ -60,7 +60,7 @@ def test_a_first_flight_weighs_every_pace_and_every_wear_at_entry(name):
 
 
 @pytest.mark.parametrize("name", LOSSES)
-def test_a_known_loss_is_found_and_a_new_machine_has_none(name):
+def test_recovers_known_loss(name):
     """Of ten per cent over a hundred flights; the log names another machine then."""
     truth = np.r_[np.zeros(40), np.linspace(0.0, 0.1, 100), np.zeros(60)]
     rng = np.random.default_rng(5)
@@ -76,7 +76,7 @@ def test_a_known_loss_is_found_and_a_new_machine_has_none(name):
     assert abs(filtered["value"][140]) < 0.02
 
 
-def test_no_later_flight_changes_a_loss_and_a_diameter_is_the_flights_own():
+def test_later_flights_change_no_loss():
     rng = np.random.default_rng(6)
     loss = np.linspace(0.0, 0.05, 120) + 0.006 * rng.standard_normal(120)
     for end in (30, 50, 70, 101):
@@ -95,7 +95,7 @@ def test_no_later_flight_changes_a_loss_and_a_diameter_is_the_flights_own():
     assert rows.select("unit", "estimator").unique().rows() == [("m", "nls")]
 
 
-def test_flights_weigh_what_the_segments_before_their_own_scatter():
+def test_scatter_follows_earlier_segments():
     """The usual scatter for fifty flights, then that of all steps before the segment: none of its own or later.
 
     Without a usual one the first fifty have their own.
@@ -125,7 +125,7 @@ def machine() -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-def test_a_loss_begins_with_the_first_flight_that_shows_it(machine, loss):
+def test_loss_begins_with_first_reading(machine, loss):
     rows = track(machine, log(("T-1", 1, "CC", "REPLACED", 9)))
     filtered = parameter(rows, loss)
     assert filtered["status"].to_list() == ["not_recorded", *["ok"] * 4, "predicted", *["ok"] * 6]
@@ -134,7 +134,7 @@ def test_a_loss_begins_with_the_first_flight_that_shows_it(machine, loss):
     assert filtered["value"][3] < 0.03  # a flight far off is more likely a bad flight than a bad machine
 
 
-def test_each_pack_is_filtered_by_itself_and_an_exchangers_replacement_is_no_compressors(machine):
+def test_packs_are_filtered_separately(machine):
     two = pl.concat([machine, machine.with_columns(pack=pl.lit(2, pl.Int32))])
     both, alone = track(two, log()), track(machine, log())
     assert both.height == 2 * alone.height
@@ -145,7 +145,7 @@ def test_each_pack_is_filtered_by_itself_and_an_exchangers_replacement_is_no_com
     assert with_log.equals(without)
 
 
-def test_a_reading_that_no_machine_gives_is_none(machine):
+def test_impossible_reading_is_missing(machine):
     odd = machine.with_columns(pl.when(pl.int_range(12) == 4).then(-1.0).otherwise("efficiency").alias("efficiency"))
     blank = odd.with_columns(pl.when(pl.col("efficiency") > 0).then("efficiency").alias("efficiency"))
     assert track(odd, log()).equals(track(blank, log()))

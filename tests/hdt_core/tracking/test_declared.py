@@ -67,21 +67,21 @@ def both(samples: pl.DataFrame, model) -> pl.DataFrame:
     return estimates.join(frame.cast({"pack": pl.Int32}), on=LEG)
 
 
-def test_where_both_state_the_same_problem_they_say_the_same(legs, model):
+def test_single_sample_equals_literal_answer(legs, model):
     """Of a single sample least squares leaves nothing over, so the closed form is its answer."""
     rows = both(legs.group_by(LEG, maintain_order=True).head(1), model)
     assert rows.height == N_LEGS
     np.testing.assert_allclose(rows["ln_ua_ratio"], rows["literal"], atol=1e-6)
 
 
-def test_the_robust_form_lies_within_a_tenth_of_its_stated_deviation(legs, model):
+def test_robust_form_nears_literal_answer(legs, model):
     rows = both(legs, model)
     apart = (rows["ln_ua_ratio"] - rows["literal"]).abs() / rows["ln_ua_ratio_sd"]
     assert rows.height == N_LEGS
     assert apart.max() < 0.1
 
 
-def test_the_declared_drift_is_what_the_ways_to_wear_come_to():
+def test_declared_drift_matches_paces():
     """An estimator of one's own is told one number, the nightly filter three ways to wear: of about the same size."""
     rate = np.sqrt(sum(pace.share * (pace.rate**2 + pace.rate_sd**2) for pace in PACES))
     assert HX.model.param("hx_fouling").drift == pytest.approx(rate, rel=0.25)

@@ -88,7 +88,7 @@ def fleet() -> tuple[pl.DataFrame, pl.DataFrame, np.ndarray]:
 
 
 @pytest.mark.parametrize("component", [NAVAL, SPREAD], ids=["spread not declared", "spread declared"])
-def test_every_unit_lies_where_its_deviation_says(fleet, component):
+def test_intervals_cover_true_loss(fleet, component):
     signals, log, true = fleet
     legs, design = commission(signals, log, component)
     _, (health, _) = unit_health(component_samples(signals, component), legs, design, log, component)
@@ -116,7 +116,7 @@ def lives(rng: np.random.Generator, voyages: int, life: float) -> tuple[np.ndarr
     return wear, offset, failures
 
 
-def test_remaining_life_is_unbiased_over_its_last_hundred_voyages():
+def test_remaining_life_is_unbiased():
     """Thirty ships of three seeds: 4 to 9 voyages, 89 to 93 % covered."""
     rng, voyages, life = np.random.default_rng(1), 400, 200.0
     units = [lives(rng, voyages, life) for _ in range(16)]

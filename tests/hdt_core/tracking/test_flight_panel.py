@@ -32,7 +32,7 @@ def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.Data
     return lay_out(flights, exchanger_loss(flights, faults, DSM).observations, maintenance, HX.code)
 
 
-def test_each_flight_shows_its_ratio_without_the_sensors_error(twin_flights, faults):
+def test_panel_removes_sensor_error(twin_flights, faults):
     panel = build_panel(twin_flights, faults, log(("T-1", 1, "HX", "REPLACED", 1), ("T-1", 1, "CC", "CLEANED", 0)))
     assert panel.row.tolist() == [[0, 3], [1, -1], [2, -1]]
     assert panel.n_rows == 4
@@ -51,7 +51,7 @@ def test_each_flight_shows_its_ratio_without_the_sensors_error(twin_flights, fau
     np.testing.assert_allclose(one.ratio, [-0.05, 0.01])
 
 
-def test_fingerprints_tell_which_flights_before_a_segment_have_changed(twin_flights, faults):
+def test_fingerprints_show_changed_flights(twin_flights, faults):
     def prints(frame: pl.DataFrame, seal: str = "s", beside: float = 0.0) -> list[list[str]]:
         panel = build_panel(frame, faults, log())
         return fingerprints(panel, [np.full(4, beside)], frame["flight_id"].to_list(), seal, 2)
@@ -70,7 +70,7 @@ def test_fingerprints_tell_which_flights_before_a_segment_have_changed(twin_flig
     assert prints(twin_flights, "t")[0][0] != here[0][0]
 
 
-def test_the_loss_of_a_flight_and_all_of_its_doubt(twin_flights, faults):
+def test_loss_deviation_adds_all_sources(twin_flights, faults):
     """1 - exp(-0.3) +- exp(-0.3) times the root of filter, map and correction squared."""
     map_sd = np.array([0.01, 0.0, 0.02, 0.01])
     loss = exchanger_loss(twin_flights, faults, DSM)
@@ -81,7 +81,7 @@ def test_the_loss_of_a_flight_and_all_of_its_doubt(twin_flights, faults):
     assert rows["status"].to_list() == ["ok", "predicted", "sensor_corrected", "ok"]
 
 
-def test_the_track_takes_level_and_doubt_from_the_model(twin_flights):
+def test_track_uses_model_level(twin_flights):
     """An unworn pack of many flights at 0.05 above the clean level has an offset, and no wear to speak of."""
     others = ("hx_in_k", "hx_out_k", "ram_out_k", "tat_k", "pack_flow_kg_s", "ram_flow_kg_s", "efficiency")
     cc = {c: pl.lit(None, pl.Float64) for c in (*others, "diameter_m", "expected_diameter_m")}

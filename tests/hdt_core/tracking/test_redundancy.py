@@ -37,7 +37,7 @@ def shifted_flights(part: Component, shift: float, loss_step: float = 0.0) -> pl
     return sensor_shifts(flight_by_flight(rows, model, ["gau_loss"]), rows, model, part)
 
 
-def test_a_shift_is_taken_off_the_loss():
+def test_shift_is_removed_from_loss():
     """A gauge that reads 0.2 high feigns half of that."""
     rows = shifted_flights(PART, 0.2)
 
@@ -45,21 +45,21 @@ def test_a_shift_is_taken_off_the_loss():
     assert rows["sensor_shift_sd"][-1] < 0.03
 
 
-def test_flights_before_a_shift_stay():
+def test_flights_before_shift_stay():
     rows = shifted_flights(PART, 0.2)
 
     assert rows[:SHIFTED].select("sensor_shift", "sensor_shift_sd").sum().row(0) == (0.0, 0.0)
 
 
-def test_a_step_of_the_loss_is_no_shift():
+def test_loss_step_is_no_shift():
     assert shifted_flights(PART, 0.0, loss_step=0.2)["sensor_shift_sd"].max() == 0.0
 
 
-def test_a_small_shift_is_left_to_the_declared_error():
+def test_small_shift_is_no_fault():
     assert shifted_flights(PART, 0.03)["sensor_shift_sd"].max() == 0.0
 
 
-def test_one_output_checks_nothing():
+def test_single_output_shows_no_shift():
     upper = replace(
         GAUGES, outputs=(GAUGES.outputs[0],), equations=lambda load, gau_size, gau_loss: gau_size + gau_loss
     )

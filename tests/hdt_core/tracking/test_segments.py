@@ -52,7 +52,7 @@ def test_nights_add_up_to_one_pass(three, log, model, whole, days):
     assert same(track(three, log, model, early), whole)
 
 
-def test_a_flight_that_came_late_changes_what_follows_it_and_nobody_beside(three, log, model, whole):
+def test_late_flight_changes_later_ones(three, log, model, whole):
     without = three.filter(~((pl.col("tail") == "S-0") & pl.col("flight_id").is_in([three["flight_id"][222]])))
     assert without.height == three.height - 1
     assert same(track(three, log, model, track(without, log, model)), whole)
@@ -62,18 +62,18 @@ def test_a_flight_that_came_late_changes_what_follows_it_and_nobody_beside(three
         assert alone.checkpoints.equals(whole.checkpoints.filter(tail=tail))
 
 
-def test_an_entry_that_came_late_counts(three, log, model, whole):
+def test_late_entry_counts(three, log, model, whole):
     before = track(three, NO_LOG, model)
     assert not same(before, whole)
     assert same(track(three, log, model, before), whole)
 
 
-def test_the_literal_recursion_says_the_same_to_the_last_digit(three, log, model):
+def test_segments_equal_literal_recursion(three, log, model):
     batched = fouling(three, log, model).filter(parameter="hx_fouling")
     assert batched.equals(fouling(three, log, model, literal=True))
 
 
-def test_only_the_last_segments_are_filtered_again(three, log, model, whole, monkeypatch):
+def test_only_last_segments_are_refiltered(three, log, model, whole, monkeypatch):
     flown, step = [], segments.step
     monkeypatch.setattr(
         segments, "step", lambda b, observation, s: flown.append(len(observation.ratio)) or step(b, observation, s)
@@ -84,7 +84,7 @@ def test_only_the_last_segments_are_filtered_again(three, log, model, whole, mon
     )  # of the exchanger and the compressor's two losses
 
 
-def test_a_smoothed_value_is_final_once_the_next_segment_is_flown(three, log, model, whole):
+def test_smoothed_value_becomes_final(three, log, model, whole):
     end = three.filter(tail="S-0")["departed_at"][3 * segments.SEGMENT_FLIGHTS - 1]
     early = track(three.filter(pl.col("departed_at") <= end), log, model)
     settled = three.filter(tail="S-0").head(2 * segments.SEGMENT_FLIGHTS)["flight_id"].implode()
@@ -94,7 +94,7 @@ def test_a_smoothed_value_is_final_once_the_next_segment_is_flown(three, log, mo
     assert then.equals(now)
 
 
-def test_nothing_is_gone_on_from_that_is_not_as_it_was(three, log, model, whole):
+def test_changed_checkpoint_is_discarded(three, log, model, whole):
     """Another code, rows lost, checkpoints lost: the filter begins where it must."""
     other = track(three, log, model, whole._replace(health=whole.health.with_columns(value=0.0)), seal="2")
     assert other.health.equals(whole.health)
@@ -124,7 +124,7 @@ def flown() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return first, second, filter_segments(panel(first, second), SETTINGS, NONE, {}).tracks
 
 
-def test_a_smoothed_value_knows_the_end_of_the_next_segment_and_no_more(flown):
+def test_smoothing_looks_one_segment_ahead(flown):
     first, second, tracks = flown
     assert tracks.shape == (4, 168)
     assert np.isfinite(tracks).all()
@@ -140,7 +140,7 @@ def test_a_smoothed_value_knows_the_end_of_the_next_segment_and_no_more(flown):
 
 
 @pytest.mark.parametrize("segment", [1, 2])
-def test_a_night_goes_on_from_a_checkpoint(flown, segment):
+def test_checkpoint_continues_the_pass(flown, segment):
     """Beside a pack that begins anew, which may have the more flights to come."""
     first, second, tracks = flown
     whole = filter_segments(panel(first, second), SETTINGS, NONE, {})
@@ -151,7 +151,7 @@ def test_a_night_goes_on_from_a_checkpoint(flown, segment):
     np.testing.assert_allclose(later[:, 50 * segment :], tracks[:, 50 * segment :], rtol=1e-12)
 
 
-def test_branches_of_one_parent_are_merged_by_their_moments():
+def test_sibling_branches_merge_by_moments():
     before = start(SETTINGS)
     parent, weight = np.array([3, 3, 5]), np.array([0.2, 0.6, 0.1])
     mean, cov = np.zeros((3, 5)), np.tile(1e-9 * np.eye(5), (3, 1, 1))

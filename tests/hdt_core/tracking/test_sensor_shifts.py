@@ -32,14 +32,14 @@ def shift(column: str, departures: list[float], ratios: list[float], before: lis
 
 
 @pytest.mark.parametrize(("column", "least", "size"), [("exit_apart_k", 1.2, -0.05), ("flows_apart_ln", 0.03, 0.8)])
-def test_a_departure_counts_from_its_second_flight_and_beyond_its_least(column, least, size):
+def test_departure_counts_from_second_flight(column, least, size):
     ours = [size * least] * 3
     assert shift(column, [least] * 3, ours) == [0.0] * 3
     np.testing.assert_allclose(shift(column, [1.001 * least] * 3, ours), [0.0, *[1.001 * least * size] * 2])
     np.testing.assert_allclose(shift(column, [-1.001 * least] * 2, [-size * least] * 2), [0.0, -1.001 * least * size])
 
 
-def test_what_is_taken_out_has_the_sign_of_the_error_and_a_seventh_of_it_as_doubt():
+def test_correction_has_sign_of_error():
     """An exit that reads 4 K too warm makes the ratio 0.2 too small: the ratio is raised by that again."""
     result = corrections(flights("exit_apart_k", [*QUIET, 4.0, 4.0], [0.0] * 10 + [-0.2] * 2))
     np.testing.assert_allclose(result.shift[10:], [0.0, -0.2])
@@ -47,7 +47,7 @@ def test_what_is_taken_out_has_the_sign_of_the_error_and_a_seventh_of_it_as_doub
     assert result.fault.tolist() == [False] * 11 + [True]
 
 
-def test_a_level_vouches_for_one_sensor_of_five_and_scatter_is_no_departure():
+def test_level_vouches_for_a_fifth():
     """Once five flights have shown its level, where it is measured and does not depart."""
     apart = [*QUIET, 0.0, float("nan"), 5.0, 0.0]
     result = corrections(flights("exit_apart_k", apart, [0.0] * 14))
@@ -66,12 +66,12 @@ def test_a_level_vouches_for_one_sensor_of_five_and_scatter_is_no_departure():
 
 
 @pytest.mark.parametrize(("share", "blamed"), [(0.39, False), (0.41, True), (1.99, True), (2.0, False), (-1, False)])
-def test_the_ratio_must_move_with_it(share, blamed):
+def test_ratio_must_move_too(share, blamed):
     assert any(shift("exit_apart_k", [4.0] * 3, [-0.2 * share] * 3)) == blamed
     assert not any(shift("exit_apart_k", [5.0] * 3, [-0.1] * 3))  # 0.4 of what 5 K do is not more than that
 
 
-def test_the_level_is_the_mean_of_eight_departures_and_five_are_met_before_any_departs():
+def test_level_averages_eight_departures():
     departures = [4.0, 5.0, 3.0, 4.4, 4.0, 3.6, 5.2, 4.0, 4.8, 3.2]
     levels = [np.mean(departures[: k + 1]) for k in range(8)]
     levels.append(levels[-1] + (departures[8] - levels[-1]) / 8)
@@ -83,7 +83,7 @@ def test_the_level_is_the_mean_of_eight_departures_and_five_are_met_before_any_d
     np.testing.assert_allclose(shift("exit_apart_k", [4.0] * 2, [-0.2] * 2, [0.0] * 5), [0.0, -0.2])
 
 
-def test_the_ratio_before_is_remembered_and_a_fault_is_over_on_the_second_usual_flight():
+def test_ratio_before_is_remembered():
     """One flight at 0.06 raises what is held to 0.01: a fall of 0.08 from there, not less, is 0.4 of what 4 K do."""
     for fall, blamed in ((0.0795, False), (0.0805, True)):
         result = corrections(flights("exit_apart_k", [*QUIET, 0.0, 4.0, 4.0], [*QUIET, 0.06, *[0.01 - fall] * 2]))
@@ -99,7 +99,7 @@ def test_the_ratio_before_is_remembered_and_a_fault_is_over_on_the_second_usual_
 
 
 @pytest.mark.parametrize(("fall", "blamed"), [(0.0795, False), (0.0805, True)])
-def test_the_first_usual_flight_after_a_fault_moves_no_level(fall, blamed):
+def test_first_usual_flight_keeps_level(fall, blamed):
     """Its ratio of 0.06 would raise the level to 0.01; the second's does count."""
     shifts = shift("exit_apart_k", [4.0, 4.0, 0.0, 0.0, 4.0, 4.0], [-0.2, -0.2, 0.06, 0.0, -fall, -fall])
     assert (shifts[-1] != 0.0) == blamed
@@ -118,7 +118,7 @@ def both_packs(own: float, other: float, n: int = 12) -> Corrections:
     ("other", "blamed"),
     [(-1.17, [0, 0]), (-1.23, [1, 0]), (-1.6, [1, 1]), (-5.9, [1, 1]), (-6.1, [0, 1]), (3.0, [0, 0])],
 )
-def test_tat_is_at_fault_where_both_packs_see_it_leave_alike(other, blamed):
+def test_tat_fault_needs_both_packs(other, blamed):
     result = both_packs(-3.0, other)
     assert [result.fault[:22].any(), result.fault[22:].any()] == blamed
     if blamed[0]:
@@ -133,7 +133,7 @@ def test_tat_is_at_fault_where_both_packs_see_it_leave_alike(other, blamed):
 @pytest.mark.parametrize(
     ("other", "begins"), [([-0.2, -1.9, -1.9], 12), ([None, -3.0, -3.0], 12), ([-1.0, -1.6, -1.6], 11)]
 )
-def test_the_other_pack_is_heard_twice_and_on_the_mean(other, begins):
+def test_other_pack_confirms_by_mean(other, begins):
     """Its level is 0.3 K, on average of what it scatters; 0.4 of 3 K is 1.2 K below."""
     before = [0.0, 0.6] * 5
     theirs = [*before, *(v if v is None else v + 0.3 for v in other)]
@@ -148,7 +148,7 @@ def other_says(quiet: list[float | None], departs: list[float | None], own: list
     return bool(corrections(pl.concat(packs)).fault[: 10 + len(own)].any())
 
 
-def test_the_other_pack_must_have_a_level_and_each_departure_is_heard_anew():
+def test_other_pack_needs_a_level():
     assert not other_says([0.0, *[None] * 9], [-3.0] * 3, [-3.0] * 3)
     assert other_says([0.0, 0.0, *[None] * 8], [-3.0] * 3, [-3.0] * 3)
     # what it said of a flight long over has no part: half of 3 K is enough
@@ -156,7 +156,7 @@ def test_the_other_pack_must_have_a_level_and_each_departure_is_heard_anew():
 
 
 @pytest.mark.parametrize(("beyond", "blamed"), [(0.79, False), (0.81, True)])
-def test_a_vouched_witness_keeps_its_level_for_two_hundred_flights(beyond, blamed):
+def test_vouched_level_lasts_200_flights(beyond, blamed):
     """A drift of 1 K over 150 flights is seen: forty flights' memory would have followed it."""
     apart = [0.0] * 200 + [0.7] * 100
     apart += [0.7 * (1.0 - (199 / 200) ** 100) + beyond] * 3
@@ -164,7 +164,7 @@ def test_a_vouched_witness_keeps_its_level_for_two_hundred_flights(beyond, blame
     assert corrections(packs).fault.any() == blamed
 
 
-def test_doors_vouch_for_themselves_sensors_go_one_after_the_other_and_packs_by_themselves():
+def test_door_vouches_for_itself():
     """Cruise moves by one, climb and descent by twice as much: their difference is the correction itself."""
     shifts = shift("door_apart_ln", [0.1] * 12, [0.0] * 12)
     np.testing.assert_allclose(shifts, [0.0] * 9 + [0.1] * 3)

@@ -31,7 +31,7 @@ def design(levels: list[float]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=names, orient="row")
 
 
-def test_a_level_is_that_of_the_sisters_alone():
+def test_level_is_that_of_sisters():
     levels = [0.1, *[0.01 * (-1) ** k for k in range(12)]]
 
     first = clean_levels(design(levels), PART).row(0, named=True)
@@ -41,7 +41,7 @@ def test_a_level_is_that_of_the_sisters_alone():
 
 
 @pytest.mark.parametrize("true_sd", [0.01, 0.06])
-def test_spread_of_units_is_estimated(true_sd):
+def test_recovers_spread_of_units(true_sd):
     levels = true_sd * np.random.default_rng(1).standard_normal(40)
 
     spread = clean_levels(design(levels.tolist()), replace(PART, new_share=0.99))["unit_sd"].median()
@@ -49,7 +49,7 @@ def test_spread_of_units_is_estimated(true_sd):
     assert spread == pytest.approx(true_sd, rel=0.35)
 
 
-def test_worn_sisters_leave_the_level_alone():
+def test_worn_sisters_leave_level_alone():
     sound, worn = [0.01, -0.01] * 6, [-0.2, -0.25]
 
     levels = clean_levels(design([*sound, *worn]), PART)
@@ -58,12 +58,12 @@ def test_worn_sisters_leave_the_level_alone():
     assert levels["unit_sd"].max() < 0.03
 
 
-def test_a_lone_pack_has_no_sisters():
+def test_lone_pack_has_no_sisters():
     assert clean_levels(design([0.1]), PART).is_empty()
 
 
 @pytest.mark.parametrize(("level_sd", "shift"), [(1e-6, np.log(2.0 / 1.7) + 0.05), (1e6, 0.0)])
-def test_offset_follows_the_surer_of_sisters_or_own(level_sd, shift):
+def test_offset_follows_surer_level(level_sd, shift):
     """A lift of 1.7 m by a design of 2 m; sisters lie .05 above that design."""
     lifts = flights(3, lift=1.7, speed=1.0).rename({"departed_at": "time_utc"}).drop("status")
     samples = pl.concat([lifts.with_columns(pl.col("time_utc") + pl.duration(minutes=k)) for k in range(5)])

@@ -22,14 +22,14 @@ def fouled(frame: pl.DataFrame) -> np.ndarray:
     return frame.filter(pl.col("parameter") == "hx_fouling").sort(IN_ORDER)["value"].to_numpy()
 
 
-def test_batched_pass_equals_the_literal_recursion(flights, model):
+def test_batched_pass_equals_literal_recursion(flights, model):
     parts = [flights.filter(pl.col("tail") == "T-01").head(90), flights.filter(pl.col("tail") != "T-01")]
     uneven = pl.concat(parts).sort(IN_ORDER)
     batched, literal = (fouling(uneven, NO_LOG, model, literal=way) for way in (False, True))
     assert batched.equals(literal)
 
 
-def test_later_flights_and_earlier_work_change_no_estimate_and_the_truth_is_recovered(flights, model, fleet):
+def test_later_flights_change_no_estimate(flights, model, fleet):
     cut = flights["departed_at"].min() + timedelta(days=70)
     before = flights.filter(pl.col("departed_at") < cut)
     later_log = replaced(fleet, "T-00", 90)
@@ -53,7 +53,7 @@ def test_later_flights_and_earlier_work_change_no_estimate_and_the_truth_is_reco
         assert pack.select(pl.corr("value", "loss", method="spearman")).item() > 0.97
 
 
-def test_coverage_over_many_units_of_unknown_offset_and_wear(model):
+def test_intervals_cover_many_units(model):
     rng = np.random.default_rng(3)
     off, sd = [], []
     packs, truth = [], {}
@@ -72,7 +72,7 @@ def test_coverage_over_many_units_of_unknown_offset_and_wear(model):
     assert abs(np.mean(off)) < 0.015
 
 
-def test_a_new_unit_is_known_better_and_a_late_entry_ends_where_a_punctual_one_does(model):
+def test_replacement_sharpens_the_estimate(model):
     loss = np.r_[np.linspace(0.15, 0.45, 80), np.linspace(0.0, 0.05, 60)]
     twin = flights_with_loss(model, loss, offset=0.05)
     log = NO_LOG.clear().vstack(entry(twin, 80, "HX", "REPLACED"))
@@ -85,7 +85,7 @@ def test_a_new_unit_is_known_better_and_a_late_entry_ends_where_a_punctual_one_d
     np.testing.assert_allclose(punctual[110:], late[110:], atol=0.01)
 
 
-def test_a_new_core_is_believed_where_no_log_is_kept(model):
+def test_unlogged_replacement_is_inferred(model):
     worn, new = np.linspace(0.05, 0.3, 100), np.linspace(0.0, 0.05, 60)
     silent, logged = [], []
     for k, unit in enumerate(np.linspace(-0.08, 0.02, 6)):
@@ -98,7 +98,7 @@ def test_a_new_core_is_believed_where_no_log_is_kept(model):
     assert np.mean(logged) > np.mean(silent)
 
 
-def test_a_wash_leaves_part_of_the_wear_and_a_fault_that_passes_all_of_it(model):
+def test_wash_leaves_part_of_wear(model):
     loss = np.r_[np.linspace(0.0, 0.3, 90), np.linspace(0.08, 0.12, 60)]
     twin = flights_with_loss(model, loss, offset=-0.04)
     rows = fouling(twin, entry(twin, 90, "HX", "CLEANED"), model)
@@ -121,7 +121,7 @@ def test_a_wash_leaves_part_of_the_wear_and_a_fault_that_passes_all_of_it(model)
     assert (rows["sd"] > 0.04).all()
 
 
-def test_a_clog_is_believed_and_one_stray_flight_moves_little(model):
+def test_clog_is_followed(model):
     loss = np.r_[np.full(60, 0.05), np.full(60, 0.25)]
     rows = fouling(flights_with_loss(model, loss), NO_LOG, model)
     np.testing.assert_allclose(rows["value"].to_numpy()[-1], 0.25, atol=0.05)
@@ -131,7 +131,7 @@ def test_a_clog_is_believed_and_one_stray_flight_moves_little(model):
     assert abs(a[60] - b[60]) < 0.01
 
 
-def test_a_step_is_followed_within_two_flights_where_other_sensors_vouch_for_those_of_the_ratio(model):
+def test_vouched_step_is_followed_quickly(model):
     """A blockage of 37 % for six flights, three redundant sensors quiet and without any."""
     loss = np.r_[np.full(60, 0.09), np.full(6, 0.37), np.full(10, 0.0)]
     twin = flights_with_loss(model, loss)
@@ -150,7 +150,7 @@ def test_a_step_is_followed_within_two_flights_where_other_sensors_vouch_for_tho
     assert (np.abs(alone["value"].to_numpy()[61:66] - 0.37) < 1.645 * alone["sd"].to_numpy()[61:66]).all()
 
 
-def test_looking_back_knows_more(model):
+def test_smoothing_reduces_error(model):
     rng = np.random.default_rng(11)
     sensors_sd = np.sqrt(model.offset_sd**2 - 0.03**2)
     frames, logs, truth = [], [], []
@@ -174,13 +174,13 @@ def test_looking_back_knows_more(model):
 
 
 @pytest.mark.parametrize("n_flights", [1, 3])
-def test_a_short_record_has_wide_estimates(model, n_flights):
+def test_short_record_has_wide_estimates(model, n_flights):
     rows = fouling(flights_with_loss(model, np.zeros(n_flights)), NO_LOG, model)
     assert rows["value"].is_not_null().all()
     assert (rows["sd"] > 0.5 * model.offset_sd * 0.5).all()
 
 
-def test_every_flight_has_every_parameter_once_and_no_flights_no_rows(flights, model):
+def test_flights_have_each_parameter_once(flights, model):
     rows = track(flights, NO_LOG, model).health
     assert rows.select("tail", "flight_id", "pack", "parameter").is_duplicated().sum() == 0
     assert rows.height == flights.height * rows["parameter"].n_unique()

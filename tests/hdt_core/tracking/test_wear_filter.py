@@ -196,7 +196,7 @@ def united(states: list[One]) -> list[tuple[Any, ...]]:
     return [(weights[key], *numbers[key]) for key in weights]
 
 
-def test_every_hypothesis_is_enumerated(flown):
+def test_filter_equals_enumeration(flown):
     for states, batch in zip(*flown[:2], strict=True):
         ours = sorted(zip(np.exp(batch.log_weight), batch.mean[:, 0], batch.mean.sum(1), batch.cov.sum((1, 2)),
                           batch.pace, batch.since, batch.unlogged, batch.faulty, strict=True))  # fmt: skip
@@ -208,7 +208,7 @@ def test_every_hypothesis_is_enumerated(flown):
         np.testing.assert_allclose((mean[0], sd[0]), expected, rtol=1e-6)
 
 
-def test_the_smoother_is_rauch_tung_striebel_along_every_path(flown):
+def test_smoother_equals_every_path(flown):
     """Each last hypothesis walked back to the first by itself; those through one state merged by their moments."""
     enumerated, filtered, branchings = flown
     smoothed = smooth(filtered[1:], branchings)
@@ -231,7 +231,7 @@ def test_the_smoother_is_rauch_tung_striebel_along_every_path(flown):
         paths = back
 
 
-def test_a_pack_begins_with_every_pace_and_every_wear_at_entry():
+def test_start_spans_every_hypothesis():
     states = start(SETTINGS)
     assert states.pack.tolist() == [0] * 12
     shares = [p[0] * e[0] for p in PACES for e in ENTRY]
@@ -249,7 +249,7 @@ def test_a_pack_begins_with_every_pace_and_every_wear_at_entry():
     assert {len(column) for column in states} == {12}
 
 
-def test_wear_is_never_negative_and_sensors_have_at_least_their_own_spread():
+def test_wear_is_never_negative():
     """Of a normal variable a hundred deviations below 0 as much is left above as of one thirty below: sd / 30."""
     below = flat(first(1))._replace(mean=np.array([[-1.0, 0, 0, 0, 0]]), cov=np.diag([1e-4] * 5)[None])
     mean, sd = (v[0] for v in wear_summary(below, 1))
@@ -265,7 +265,7 @@ def some(weights: list[float], wear: list[float], pack: list[int] | None = None,
     return flat(states)._replace(pack=np.array(pack or [0] * k), **changes)
 
 
-def test_like_hypotheses_are_merged_and_light_ones_dropped_to_forty():
+def test_like_hypotheses_are_merged():
     """Within a bin of 0.01 of wear, alike in pace and fault; the labels are the heavier one's."""
     after, into = prune(some([0.5, 0.3, 0.15, 0.05], [0.1, 0.104, 0.106, 0.1], faulty=np.array([0, 0, 0, 1]) > 0))
     assert into.tolist() == [0, 0, 1, 2]
@@ -284,7 +284,7 @@ def test_like_hypotheses_are_merged_and_light_ones_dropped_to_forty():
     np.testing.assert_allclose(np.exp(after.log_weight[:40]), weights[44:4:-1] / weights[5:45].sum())
 
 
-def test_weights_add_up_to_one_in_each_pack_told_apart():
+def test_weights_sum_to_one_per_pack():
     weights = np.exp(normalise(some([2.0, 6.0, 5.0], [0.0] * 3, [0, 0, 1])).log_weight)
     np.testing.assert_allclose(weights, [0.25, 0.75, 1.0])
     many = join([some([1.0], [0.1]), some([0.5, 0.5], [0.2, 0.3], [1, 1])])
