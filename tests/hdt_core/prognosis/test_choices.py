@@ -54,14 +54,14 @@ def test_chance_never_rises_with_thoroughness(loss, chances, n_washes):
 
 
 @given(loss=st.floats(-0.1, 0.9), share_left=st.floats(0.0, 1.0), n_washes=st.integers(0, 9))
-def test_wash_leaves_between_nothing_and_all(loss, share_left, n_washes):
+def test_wash_leaves_part_of_loss(loss, share_left, n_washes):
     left = washed(n_washes, loss, share_left).losses_left(np.array([loss]), UNSEEN)
 
     assert (left >= min(loss, 0.0)).all()
     assert (left <= loss).all()
 
 
-def test_deferring_is_the_published_prognosis(fleet):
+def test_deferring_equals_published_prognosis(fleet):
     update = update_model(shipped_base(), None, FleetRecord(*fleet))
 
     deferred = update.choices.filter(choice="defer").sort("component", "tail", "pack")
@@ -75,7 +75,7 @@ def test_deferring_is_the_published_prognosis(fleet):
 @pytest.mark.parametrize(
     ("n_washes", "loss", "rests_on"), [(4, 0.2, "prior"), (5, 0.2, "5 washes"), (9, 0.34, "prior")]
 )
-def test_few_like_washes_leave_the_prior(n_washes, loss, rests_on):
+def test_few_like_washes_keep_prior(n_washes, loss, rests_on):
     washes, losses = washed(n_washes), np.array([loss])
 
     mean, sd = washes.share_left_of(losses, UNSEEN)
@@ -92,7 +92,7 @@ def test_prior_counts_as_one_wash():
 
 
 @pytest.mark.parametrize(("found", "share_left"), [("CLOGGED", 0.1), ("FOULED", 0.6), ("", 0.35)])
-def test_wash_takes_away_what_it_did_of_units_found_so(found, share_left):
+def test_wash_effect_follows_finding(found, share_left):
     clogged, fouled = washed(500, share_left=0.1, found="CLOGGED"), washed(500, share_left=0.6, found="FOULED")
     both = Washes(*(np.concatenate([getattr(w, name) for w in (clogged, fouled)]) for name in VALUES))
 
@@ -101,7 +101,7 @@ def test_wash_takes_away_what_it_did_of_units_found_so(found, share_left):
     assert mean[0] == pytest.approx(share_left, abs=0.001)
 
 
-def test_units_found_as_few_washed_leave_the_prior():
+def test_rare_finding_keeps_prior():
     assert washed(9, found="FOULED").rests_on(np.array([0.2]), np.array(["CLOGGED"])) == ["prior"]
 
 
@@ -131,7 +131,7 @@ def test_shown_washes_are_measured():
 @pytest.mark.parametrize(
     ("inspected_on", "own", "found"), [(18, "", "CLOGGED"), (18, "FOULED", "FOULED"), (22, "", ""), (-12, "", "")]
 )
-def test_finding_of_a_wash_is_its_own_or_that_of_an_inspection_before(inspected_on, own, found):
+def test_wash_takes_finding_of_inspection(inspected_on, own, found):
     washes = learned(log_line(inspected_on, "INSPECTED", "CLOGGED"), log_line(20, "CLEANED", own))
 
     assert washes.fault.tolist() == [found]
@@ -147,7 +147,7 @@ def test_finding_of_a_wash_is_its_own_or_that_of_an_inspection_before(inspected_
         ([(25, "CLOGGED"), (26, "NO_FAULT_FOUND")], ""),
     ],
 )
-def test_unit_is_as_last_inspected_since_its_work(lines, found):
+def test_unit_has_last_inspected_finding(lines, found):
     washes = learned(log_line(20, "CLEANED", ""), *(log_line(day, "INSPECTED", finding) for day, finding in lines))
 
     assert washes.faults_of(pl.DataFrame([PACK_1], schema_overrides={"pack": pl.Int32})).tolist() == [found]

@@ -36,7 +36,7 @@ from hdt_core.prognosis.recalibrate import HazardCorrection, learn_correction, l
 SPAN_ENDS = [5, 10, 15, 20, 30, 40, 50, 65, 80, 100, 125, 150, 175, 200, 250, 300]
 
 
-def test_spans_quantiles_and_positions_are_linear_between_edges_and_undo_each_other():
+def test_quantiles_are_linear_between_edges():
     assert EDGES.tolist() == [0, *SPAN_ENDS]
     hazard = np.full((1, SPANS), 0.1)
     np.testing.assert_allclose(event_by(hazard)[0], 1.0 - 0.9 ** np.arange(SPANS + 1))
@@ -65,7 +65,7 @@ def test_spans_quantiles_and_positions_are_linear_between_edges_and_undo_each_ot
         (0.0, True, [], None),
     ],
 )
-def test_a_row_is_at_risk_until_its_event_or_its_cut(left, failed, exposure, hit):
+def test_row_is_at_risk_until_end(left, failed, exposure, hit):
     row, span, hits, weight = at_risk(np.array([left]), np.array([failed]))
     assert not row.any()
     assert span.tolist() == list(range(len(exposure)))
@@ -82,7 +82,7 @@ def learned():
     return [fit_hazard(features, left, np.ones(800, bool), seed, rises=(1, 0)) for seed in (0, 1)]
 
 
-def test_hazards_are_the_mean_of_declared_learners_that_may_only_rise(learned):
+def test_hazards_average_the_learners(learned):
     grid = np.column_stack([np.linspace(-1, 1, 21), np.zeros(21)])
     each = [hazards([m], grid) for m in learned]
     np.testing.assert_allclose(hazards(learned, grid), (each[0] + each[1]) / 2.0)
@@ -99,7 +99,7 @@ def test_hazards_are_the_mean_of_declared_learners_that_may_only_rise(learned):
     assert learned[1].n_features_in_ == 3
 
 
-def test_a_limit_is_the_normal_posterior_with_hubers_weights():
+def test_limit_is_robust_normal_posterior():
     """Losses of 0.2, 0.22 and one far off at 0.5, units 0.05 apart; the prior is 0.25 +- 0.06."""
     prior = Limit(0.25, 0.06, 0.05)
     assert PRIOR_RULES["CC"] == prior
@@ -114,7 +114,7 @@ def test_a_limit_is_the_normal_posterior_with_hubers_weights():
     assert learn_limit(np.array([np.nan]), prior) == prior
 
 
-def test_first_passage_is_that_of_lines_drawn_at_random():
+def test_first_passage_equals_monte_carlo():
     """Plain Monte Carlo: loss, rate and limit normal; a unit known to fly has its limit above what it has lost."""
     rng, n = np.random.default_rng(1), 100_000
     loss, rate, limit = (m + s * rng.standard_normal(n) for m, s in ((0.1, 0.02), (1e-3, 4e-4), (0.25, 0.06)))
@@ -135,7 +135,7 @@ def terms(end: np.ndarray, reserve: float, odds: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("reserve", "counts_as"), [(0.35, 0.35), (1.0, 0.6), (-1.0, -0.2), (np.nan, 0.2)])
-def test_a_correction_shifts_the_log_odds(reserve, counts_as):
+def test_correction_shifts_log_odds(reserve, counts_as):
     hazard, weights = np.linspace(0.02, 0.5, SPANS)[None, :], np.array([0.3, -0.2, 0.5, 0.4])
     odds = np.log(hazard / (1.0 - hazard))
     shifted = odds + terms(EDGES[None, 1:], counts_as, odds) @ weights
@@ -143,7 +143,7 @@ def test_a_correction_shifts_the_log_odds(reserve, counts_as):
     np.testing.assert_allclose(corrected, 1.0 / (1.0 + np.exp(-shifted)))
 
 
-def test_a_correction_is_the_maximum_a_posteriori():
+def test_correction_maximises_posterior():
     """Rows of one life share its weight; the prior says no correction, within 0.5, 0.3, 0.5 and 0.3."""
     rng = np.random.default_rng(3)
     n, life = 60, np.repeat(np.arange(15), 4)
@@ -172,7 +172,7 @@ def test_a_correction_is_the_maximum_a_posteriori():
     np.testing.assert_allclose(learn_correction(hazard, reserve, left, failed, life).weights, want, atol=2e-4)
 
 
-def test_levels_are_kaplan_and_meiers():
+def test_levels_equal_kaplan_meier():
     """Ten events spread evenly over the scale, one more life cut in the middle; twenty failed lives are the prior's."""
     by = np.broadcast_to(np.r_[0.0, np.cumsum(np.diff(EDGES)) / 300.0], (11, SPANS + 1))
     left = np.r_[30.0 * np.arange(1, 11), 155.0]
@@ -195,7 +195,7 @@ def test_levels_are_kaplan_and_meiers():
     np.testing.assert_allclose(one, [(o + 20 * p) / 21 for o, p in zip(own, (0.04, 0.52, 0.97), strict=True)])
 
 
-def test_bounds_of_a_life_are_order_statistics():
+def test_life_bounds_are_order_statistics():
     """All were watched alike: a tenth looks first, of the others' 360 the 18th from either end."""
     lives = np.random.default_rng(0).permutation(np.arange(1.0, 401.0))
     bounds = life_bounds(lives, np.ones(400, bool), np.full(400, 500.0))
@@ -212,7 +212,7 @@ def test_bounds_of_a_life_are_order_statistics():
 
 
 @pytest.mark.parametrize(("n", "taken"), [(1000, 400), (300, 200), (40, 40)])
-def test_units_watched_longest_are_a_fair_sample(n, taken):
+def test_longest_watched_units_are_used(n, taken):
     """Two hundred at least, two fifths of all: of 1,000 the 400 that could have been watched for longest."""
     watched = np.arange(1.0, n + 1.0) + 1000.0
     lives = np.random.default_rng(2).uniform(0.0, 1000.0, n)
@@ -224,7 +224,7 @@ def test_units_watched_longest_are_a_fair_sample(n, taken):
         life_bounds(watched + 1.0, lives < watched, watched)
 
 
-def test_where_units_leave_for_other_reasons_lives_are_weighed_by_the_chance_to_be_watched():
+def test_censored_lives_are_weighed():
     """Without any that left these are plain order statistics of the half that is not used for weights."""
     lives = np.random.default_rng(1).permutation(np.arange(1.0, 401.0))
     bounds = life_bounds(lives, np.ones(400, bool))
@@ -243,7 +243,7 @@ def test_where_units_leave_for_other_reasons_lives_are_weighed_by_the_chance_to_
         life_bounds([1.0, 2.0], [False, False])
 
 
-def test_a_hazard_is_learned_in_spite_of_censoring_and_asked_once_a_cut():
+def test_hazard_is_learned_under_censoring():
     rng = np.random.default_rng(1)
     rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 8000))
     death, cut = rng.exponential(1.0 / rate), rng.uniform(0.0, 200.0, 8000)
@@ -259,7 +259,7 @@ def test_a_hazard_is_learned_in_spite_of_censoring_and_asked_once_a_cut():
     assert np.array_equal(_by_tree(model, features, EDGES[1:]), _row_by_row(model, features, EDGES[1:]))
 
 
-def test_scores_are_proper_count_pairs_and_give_base_rates_no_skill():
+def test_interval_score_is_proper():
     truth = np.random.default_rng(0).standard_normal(20000)
     honest = interval_score(truth, np.full_like(truth, -1.645), np.full_like(truth, 1.645)).mean()
     for half in (0.8, 1.2, 2.2, 3.0):
@@ -278,7 +278,7 @@ def test_scores_are_proper_count_pairs_and_give_base_rates_no_skill():
     np.testing.assert_allclose(table["observed"], table["predicted"], atol=0.03)
 
 
-def test_where_every_unit_outlived_the_figures_of_failures_are_left_out():
+def test_surviving_units_omit_failure_scores():
     prognoses = pl.DataFrame(
         {
             "remaining": [320.0, 400.0], "rul_flights": [280.0, 300.0], "rul_low": [150.0, 200.0],

@@ -27,7 +27,7 @@ def slope(level: np.ndarray, first: int, last: int) -> float:
 WAVY = 0.1 + 1e-3 * np.arange(120) + 0.01 * np.sin(0.7 * np.arange(120))
 
 
-def test_slopes_are_least_squares_of_a_unit_whoever_flies_beside_it():
+def test_slopes_are_least_squares():
     values = record(WAVY)
     for window in (10, 30, 100):
         assert values[f"slope_{window}"][119] == pytest.approx(slope(WAVY, 120 - window, 119))
@@ -48,7 +48,7 @@ def test_slopes_are_least_squares_of_a_unit_whoever_flies_beside_it():
 
 
 @pytest.mark.parametrize(("drop", "begins"), [(0.034, 0), (0.036, 60)])
-def test_a_stretch_begins_with_a_drop_of_three_flights(drop, begins):
+def test_stretch_begins_with_a_drop(drop, begins):
     level = 0.2 + np.where(np.arange(100) >= 58, -drop, 0.0) + 1e-5 * np.arange(100)
     values = record(level)
     first = 60 if begins else 0  # the last flight that lies so far below that of three flights before
@@ -56,7 +56,7 @@ def test_a_stretch_begins_with_a_drop_of_three_flights(drop, begins):
     assert values["slope_segment"][99] == pytest.approx(slope(level, first, 99), abs=1e-12)
 
 
-def test_jumps_peaks_and_entry():
+def test_jumps_by_hand():
     """Up by 0.05 at once at flight 20, half of it down again at flight 40."""
     level = 0.1 + np.where(np.arange(80) >= 20, 0.05, 0.0) - np.where(np.arange(80) >= 40, 0.025, 0.0)
     values = record(level)
@@ -73,7 +73,7 @@ def test_jumps_peaks_and_entry():
     assert entry.tolist() == pytest.approx([0.0, 0.01, 0.02, 0.03, 0.04, *[0.02] * 5])
 
 
-def test_age_season_and_roughness_over_thirty_flights():
+def test_roughness_spans_thirty_flights():
     level = np.cumsum(0.01 * np.random.default_rng(1).standard_normal(60))
     change = np.r_[0.0, np.diff(level)]
     values = record(level)["roughness"]
@@ -88,7 +88,7 @@ def test_age_season_and_roughness_over_thirty_flights():
     assert values["ratio"][4] == -0.1
 
 
-def test_what_flights_showed_is_averaged_over_the_last_ten_and_forty():
+def test_averages_span_recent_flights():
     rng = np.random.default_rng(2)
     hot, half, door = (rng.uniform(0.0, 6.0, 60) for _ in range(3))
     hot[[5, 55]], hot[30], hot[56] = np.nan, 9.0, 3.0
@@ -116,7 +116,7 @@ def rows(level: np.ndarray, demand: float, ratio: float, flight: int) -> dict[st
 
 
 @pytest.mark.parametrize("flight", [40, 99, 119])
-def test_the_physical_forecast_takes_the_rate_of_the_last_hundred_flights(flight):
+def test_forecast_uses_last_hundred_flights(flight):
     """The wear of a fraction is larger in ln of what is left, by that."""
     values = rows(WAVY, -0.5, -0.2, flight)
     slopes = record(WAVY)
@@ -133,7 +133,7 @@ def test_the_physical_forecast_takes_the_rate_of_the_last_hundred_flights(flight
         assert values[f"left_linear_{name}"] == pytest.approx(want, rel=1e-9)
 
 
-def test_what_is_asked_beyond_what_is_left_is_a_message_soon_and_a_reserve_ends_at_a_thousand():
+def test_linear_forecast_is_bounded():
     rising = 0.1 + 1e-3 * np.arange(50)
     assert rows(rising, -0.1, -0.2, 49)["left_linear_30"] == 0.0
     assert rows(np.full(50, 0.1), -0.5, -0.2, 49)["left_linear_30"] == 1000.0
@@ -173,14 +173,14 @@ def features(level: np.ndarray, demand: np.ndarray | None = None) -> dict[str, n
 
 
 @pytest.mark.parametrize("cut", [1, 6, 50, 150])
-def test_nothing_from_the_future(cut):
+def test_features_ignore_later_flights(cut):
     level = track()
     whole, early = features(level), features(level[:, :cut])
     for name in FEATURES:
         np.testing.assert_allclose(whole[name][:, :cut], early[name], atol=1e-9, err_msg=name)
 
 
-def test_flights_that_show_nothing_keep_the_last_averages():
+def test_silent_flights_keep_last_averages():
     hot = np.r_[np.linspace(0.0, 6.0, 50), np.full(60, np.nan)]
 
     averages = record(np.zeros(110), overheat_k=hot)["overheat_40"]

@@ -58,7 +58,7 @@ def by_loops(overheat, message, weight) -> tuple[float, int, float, float]:
 
 
 @pytest.mark.parametrize(("excess_k", "of", "seed"), [(4.0, 3, 1), (8.0, 2, 2), (6.0, 1, 3)])
-def test_the_posterior_is_that_of_every_rule_of_the_grid(excess_k, of, seed):
+def test_posterior_equals_grid_loops(excess_k, of, seed):
     """One operator's lives count in full, others' by a half, those of an operator without a message not at all."""
     overheat, message = lives(9, excess_k, of, seed)
     operator = np.array(["AAA"] * 4 + ["BBB"] * 3 + ["MUT"] * 2)
@@ -78,14 +78,14 @@ def test_the_posterior_is_that_of_every_rule_of_the_grid(excess_k, of, seed):
 
 
 @pytest.mark.parametrize(("excess_k", "of"), [(4.0, 3), (8.0, 3), (6.0, 1)])
-def test_a_rule_is_found_again(excess_k, of):
+def test_recovers_known_rule(excess_k, of):
     overheat, message = lives(15, excess_k, of)
     rule = learn_rules(overheat, message, np.full(15, "XXX"))["XXX"]
     assert rule.excess_k == pytest.approx(excess_k, abs=max(1.0, 2.0 * rule.excess_sd_k))
     assert rule.of == of
 
 
-def test_without_any_message_the_prior_stands_where_two_of_three_are_as_likely_as_all_else():
+def test_prior_stands_without_messages():
     overheat, message = lives(8, 5.0, 3)
     rule = learn_rules(overheat, np.full_like(message, -1), np.full(8, "XXX"))["XXX"]
     assert rule.excess_k == pytest.approx(PRIOR.excess_k, abs=0.3)
@@ -106,7 +106,7 @@ def landmarks(n: int, rate: float) -> tuple[np.ndarray, ...]:
     return left, np.ones(left.size, bool), life
 
 
-def test_no_failure_no_correction_and_a_stored_one_with_fewer_terms_stands():
+def test_no_failures_leave_no_correction():
     hazard = np.full((30, SPANS), 0.1)
     done = learn_correction(hazard, np.zeros(30), np.full(30, 400.0), np.zeros(30, bool), np.arange(30))
     assert done == HazardCorrection()
@@ -118,7 +118,7 @@ def test_no_failure_no_correction_and_a_stored_one_with_fewer_terms_stands():
     np.testing.assert_array_equal(corrected, HazardCorrection((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
 
 
-def test_levels_are_nominal_under_censoring_and_lower_where_a_distribution_comes_too_late():
+def test_levels_are_nominal_under_censoring():
     rng = np.random.default_rng(3)
     death, cut = rng.exponential(120.0, 4000), rng.uniform(0.0, 250.0, 4000)
     by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (4000, SPANS + 1))
@@ -134,7 +134,7 @@ def test_levels_are_nominal_under_censoring_and_lower_where_a_distribution_comes
 
 
 @pytest.mark.parametrize(("n", "share"), [(3, 0.1), (200, 0.6)])
-def test_a_hazard_twice_too_low_is_corrected_as_far_as_the_lives_carry(n, share):
+def test_low_hazard_is_corrected(n, share):
     left, failed, life = landmarks(n, 0.02)
     hazard = np.broadcast_to(1.0 - np.exp(-0.01 * np.diff(EDGES)), (left.size, SPANS))
     done = learn_correction(hazard, np.full(left.size, 0.5), left, failed, life)
@@ -156,7 +156,7 @@ def steady_and_worn(n: int) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.parametrize(("flattened", "slope"), [(1.0, 0.0), (1.5, 0.5)])
-def test_a_base_that_tells_units_too_little_apart_far_ahead_is_found_out(flattened, slope):
+def test_flattened_base_is_corrected(flattened, slope):
     """The slope is recovered from many lives, none is found where the base is right, and the next 50 flights stay."""
     truth, left, failed, life = steady_and_worn(4000)
     late = EDGES[1:] > 50.0
@@ -169,7 +169,7 @@ def test_a_base_that_tells_units_too_little_apart_far_ahead_is_found_out(flatten
     np.testing.assert_allclose(alone[:, ~late], base[:2, ~late])
 
 
-def test_a_limit_moves_from_the_prior_to_the_messages_and_a_clog_moves_it_little():
+def test_limit_moves_with_messages():
     prior = CC.limit
     assert learn_limit(np.empty(0), prior) == prior
     few, many = learn_limit(np.full(1, 0.15), prior), learn_limit(np.full(30, 0.15), prior)

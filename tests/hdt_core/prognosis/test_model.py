@@ -59,7 +59,7 @@ def held_out(fleet, base):
     return join_outcomes(predict_by_fold(model, "HX", track, np.ones(len(track.at), bool)), fleet[0], lives)
 
 
-def test_every_flight_has_its_rows_for_both_components(fitted):
+def test_flights_have_rows_per_component(fitted):
     features, lives, model = fitted
     prognoses = predict_prognosis(model, features, lives)
     assert prognoses.group_by("component").len()["len"].to_list() == [features.height] * 2
@@ -73,7 +73,7 @@ def test_every_flight_has_its_rows_for_both_components(fitted):
     assert prognoses.filter(pl.col("component") == "CC")["rul_flights"].is_null().all()
 
 
-def test_nothing_from_the_future_is_in_rows_or_told_to_the_learner(fitted):
+def test_later_flights_change_no_prognosis(fitted):
     features, lives, model = fitted
     cut = features["departed_at"].sort()[features.height // 2]
     early = features.filter(pl.col("departed_at") <= cut)
@@ -90,7 +90,7 @@ def test_nothing_from_the_future_is_in_rows_or_told_to_the_learner(fitted):
     np.testing.assert_array_equal(now, then[(whole.keys["departed_at"] <= cut).to_numpy()])
 
 
-def test_unseen_lives_are_foretold(held_out):
+def test_unseen_lives_are_forecast(held_out):
     scores = score_prognoses(held_out)
     remaining = held_out.filter(pl.col("failed") | (pl.col("remaining") >= 300))["remaining"].clip(0, 300).to_numpy()
     constant = np.abs(remaining - np.median(remaining)).mean()
@@ -101,7 +101,7 @@ def test_unseen_lives_are_foretold(held_out):
     assert scores["auc"] > 0.9
 
 
-def test_without_a_single_failure_it_still_speaks(fleet, base):
+def test_forecasts_without_any_failure(fleet, base):
     features, messages, maintenance = fleet
     quiet = episodes(features, messages.clear(), maintenance.clear())
     model = fit_prognosis(features.clear(), quiet.clear(), base=base)
@@ -111,7 +111,7 @@ def test_without_a_single_failure_it_still_speaks(fleet, base):
     assert scores["mae_flights"] < 60.0
 
 
-def test_stored_parts_give_the_same_model_as_older_homes_and_the_same_arguments(fitted):
+def test_stored_parts_restore_the_model(fitted):
     features, lives, model = fitted
     sio = pytest.importorskip("skops.io")
     blob = sio.dumps(to_parts(model))
@@ -128,13 +128,13 @@ def test_stored_parts_give_the_same_model_as_older_homes_and_the_same_arguments(
     assert fit_prognosis(features, lives, base=shipped_base()).version == model.version
 
 
-def test_same_seed_same_base():
+def test_same_seed_gives_same_base():
     one, other = (fit_member(4, fleets=3) for _ in range(2))
     probe = np.random.default_rng(0).standard_normal((50, len(INPUTS) + 1))
     np.testing.assert_array_equal(one.predict_proba(probe), other.predict_proba(probe))
 
 
-def test_a_worse_model_is_not_promoted(fitted):
+def test_worse_model_is_not_promoted(fitted):
     card = model_card(fitted[2], {"interval_score_flights": 150.0, "brier": 0.05})
     worse = model_card(fitted[2], {"interval_score_flights": 180.0, "brier": 0.05})
     assert promote(card, None).promoted
@@ -146,7 +146,7 @@ def test_a_worse_model_is_not_promoted(fitted):
     json.dumps(card)
 
 
-def test_service_keeps_the_model_that_does_better(fleet, fitted):
+def test_service_keeps_better_model(fleet, fitted):
     features, _, model = fitted
     record = FleetRecord(*fleet)
     blind = replace(model, base_levels=(0.45, 0.5, 0.55), fits={})
@@ -189,7 +189,7 @@ def held_halves(fleet, base):
         ((0.49, 0.5, 0.51), (0.0, 0.0, 0.0, 0.0), (0.05, 0.5, 0.95), (False, True)),  # an interval for none
     ],
 )
-def test_only_what_narrows_the_interval_score_of_held_lives_is_learned(
+def test_only_helpful_lessons_are_learned(
     base, held_halves, base_levels, weights, levels, expected
 ):
     track, tail_groups = held_halves
@@ -202,7 +202,7 @@ def test_only_what_narrows_the_interval_score_of_held_lives_is_learned(
     assert (own > 0.0).tolist() == [[True] * len(LESSONS), [False] * len(LESSONS)]
 
 
-def test_a_folds_own_lives_decide_nothing_about_it(base, held_halves, monkeypatch):
+def test_fold_ignores_its_own_lives(base, held_halves, monkeypatch):
     """Of three folds the first's lives want the correction most; the first alone is judged by the others."""
     track, tail_groups = held_halves
     track_folds = [tail_groups[0][:1], tail_groups[0][1:], tail_groups[1]]
@@ -216,7 +216,7 @@ def test_a_folds_own_lives_decide_nothing_about_it(base, held_halves, monkeypatc
     assert all(fit.levels == base.base_levels for fit in fits)
 
 
-def test_a_base_that_calls_every_unit_worn_out_is_corrected(base, held_halves, monkeypatch):
+def test_pessimistic_base_is_corrected(base, held_halves, monkeypatch):
     """Log odds 2 too high: what a fleet's lives say of it narrows the score, so it is kept in every fold."""
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
     track, tail_groups = held_halves
@@ -243,14 +243,14 @@ def test_few_failures_correct_nothing(base, held_halves, monkeypatch):
 
 
 @pytest.mark.parametrize(("limit", "corrected"), [(0, True), (1, False)])
-def test_at_the_limit_a_component_learns(base, held_halves, monkeypatch, limit, corrected):
+def test_component_learns_at_limit(base, held_halves, monkeypatch, limit, corrected):
     track, _ = held_halves
     failures = fit_component(base, track, "HX", [])[0].failures
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", failures + limit)
     assert any(fit_component(base, track, "HX", [])[0].correction.weights) == corrected
 
 
-def test_a_compressors_hazard_is_its_first_passage_and_the_bases_where_none_is_known(base):
+def test_compressor_hazard_is_first_passage(base):
     """Of 50, 100, 200 and 300 flights: by 75 flights half way between the first two."""
     features = np.full((2, len(INPUTS)), np.nan)
     features[0, [INPUTS.index(f"passage_{k}") for k in (50, 100, 200, 300)]] = 0.2, 0.6, 0.6, 1.0

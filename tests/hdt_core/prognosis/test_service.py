@@ -34,7 +34,7 @@ def same(one: pl.DataFrame, other: pl.DataFrame) -> None:
     np.testing.assert_allclose(one[NUMBERS].to_numpy(), other[NUMBERS].to_numpy(), atol=1e-9)
 
 
-def test_flown_month_by_month_or_taken_in_at_once_it_is_one_record(fleet, base, at_once):
+def test_monthly_updates_equal_one_update(fleet, base, at_once):
     """Each row as it stood at the end of its month, and none rewritten since."""
     whole, last = FleetRecord(*fleet), None
     months = whole.months()
@@ -54,7 +54,7 @@ def test_flown_month_by_month_or_taken_in_at_once_it_is_one_record(fleet, base, 
     assert at_once.prognoses["model_version"].n_unique() == len({m.model.version for m in at_once.months.values()}) > 2
 
 
-def test_what_follows_a_month_changes_none_of_its_prognoses(fleet, at_once, base):
+def test_later_records_change_no_prognosis(fleet, at_once, base):
     """Whatever becomes of the units after February: none fails, or all are worn."""
     whole, end = FleetRecord(*fleet), datetime(2024, 3, 1, tzinfo=UTC)
     later = pl.col("departed_at") >= end
@@ -66,7 +66,7 @@ def test_what_follows_a_month_changes_none_of_its_prognoses(fleet, at_once, base
         assert not now.filter(later).equals(at_once.prognoses.filter(later))
 
 
-def test_the_first_month_knows_the_base_alone(at_once, base):
+def test_first_month_uses_base_alone(at_once, base):
     first = at_once.months[min(at_once.months)].model
     assert first.fits["HX"].failures == 0
     assert first.fits["HX"].levels == base.base_levels
@@ -75,7 +75,7 @@ def test_the_first_month_knows_the_base_alone(at_once, base):
 
 
 @pytest.mark.parametrize("component", ["HX", "CC"])
-def test_what_a_month_learns_from_is_the_record_cut_off(fleet, component):
+def test_month_learns_from_truncated_record(fleet, component):
     """Rows are cut once from the whole record: they equal those of a record that ends there, and so do lives."""
     whole, moment = FleetRecord(*fleet), datetime(2024, 3, 1, tzinfo=UTC)
     past = whole.as_of(moment)
@@ -92,7 +92,7 @@ def test_what_a_month_learns_from_is_the_record_cut_off(fleet, component):
     assert len(np.unique(one.life)) == len(np.unique(other.life))
 
 
-def test_each_tail_is_judged_by_what_the_others_taught(fleet, base, at_once):
+def test_fold_learns_from_other_tails(fleet, base, at_once):
     """Without the removals of one tail its own prognoses are the same."""
     whole, month = FleetRecord(*fleet), date(2024, 4, 1)
     tail = whole.as_of(start_of(month)).lives().filter("failed")["tail"][0]
@@ -110,7 +110,7 @@ def test_each_tail_is_judged_by_what_the_others_taught(fleet, base, at_once):
     np.testing.assert_allclose(alone.levels, own_fold.fits["HX"].levels, atol=1e-9)
 
 
-def test_a_night_within_the_month_speaks_only_of_what_is_new(fleet, base):
+def test_night_scores_only_new_flights(fleet, base):
     at = datetime(2024, 3, 10, tzinfo=UTC)
     first = update_model(base, None, FleetRecord(*fleet).as_of(at))
     marked = replace(first, prognoses=first.prognoses.with_columns(p_event_50=pl.lit(0.123)))
@@ -129,7 +129,7 @@ def without(record, share):
     return replace(record, features=record.features.filter(~pl.col("flight_id").is_in(late.implode()))), late
 
 
-def test_few_late_flights_are_scored_at_once_and_learned_from_next_month(fleet, base):
+def test_few_late_flights_are_scored(fleet, base):
     whole = FleetRecord(*fleet)
     one = whole.features.filter(pl.col("departed_at") < datetime(2024, 2, 20, tzinfo=UTC))["flight_id"][-1]
     missed = replace(whole, features=whole.features.filter(pl.col("flight_id") != one))
@@ -161,7 +161,7 @@ def test_few_late_flights_are_scored_at_once_and_learned_from_next_month(fleet, 
 
 
 @pytest.mark.parametrize("share", [0.5, 0.05])
-def test_many_late_flights_are_learned_from_at_once(fleet, base, share):
+def test_many_late_flights_retrain_at_once(fleet, base, share):
     record = FleetRecord(*fleet).as_of(IN_MARCH)
     after = update_model(base, update_model(base, None, without(record, share)[0]), record)
     assert after.newest.service["learned_because"] != "the month began"
@@ -169,7 +169,7 @@ def test_many_late_flights_are_learned_from_at_once(fleet, base, share):
     same(after.prognoses, update_model(base, None, record).prognoses)
 
 
-def test_a_late_message_is_learned_from_at_once_by_the_months_after_it(fleet, base):
+def test_late_message_retrains_later_months(fleet, base):
     record = FleetRecord(*fleet).as_of(IN_MARCH)
     failed = record.as_of(start_of(record.months()[-1])).lives().filter("failed").row(0, named=True)
     own = (pl.col("tail") == failed["tail"]) & (pl.col("pack") == failed["pack"])
@@ -181,7 +181,7 @@ def test_a_late_message_is_learned_from_at_once_by_the_months_after_it(fleet, ba
     same(after.prognoses, update_model(base, None, record).prognoses)
 
 
-def test_health_by_other_models_is_learned_from_anew_by_every_month(fleet, base):
+def test_changed_models_retrain_every_month(fleet, base):
     record = FleetRecord(*fleet).as_of(IN_MARCH)
     changed = replace(record, features=record.features.with_columns(pl.col("hx_fouling") + 0.02))
     after = update_model(base, update_model(base, None, record, "as built"), changed, "as mended")
@@ -191,7 +191,7 @@ def test_health_by_other_models_is_learned_from_anew_by_every_month(fleet, base)
     same(after.prognoses, update_model(base, None, changed).prognoses)
 
 
-def test_an_aircraft_that_joins_moves_nothing_that_stands(fleet, base):
+def test_joining_aircraft_changes_no_past(fleet, base):
     whole = FleetRecord(*fleet)
     joins = (pl.col("tail") != "LX-T03") | (pl.col("departed_at") >= datetime(2024, 3, 5, tzinfo=UTC))
     record = replace(whole, features=whole.features.filter(joins)).as_of(IN_MARCH)
@@ -202,7 +202,7 @@ def test_an_aircraft_that_joins_moves_nothing_that_stands(fleet, base):
     assert after.prognoses.filter(tail="LX-T03", component="HX")["rul_flights"].null_count() == 0
 
 
-def test_of_an_empty_record_nothing_is_foretold(fleet, base):
+def test_empty_record_has_no_prognoses(fleet, base):
     empty = update_model(base, None, FleetRecord(*(frame.clear() for frame in fleet)))
     assert not empty.months
     assert empty.prognoses.is_empty()

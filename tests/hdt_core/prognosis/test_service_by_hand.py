@@ -63,13 +63,13 @@ DIGEST = TrainingDigest(
         ({"base": "other", "design": "other"}, "the base is another"),
     ],
 )  # fmt: skip
-def test_a_model_learns_again_where_one_in_a_hundred_is_another(change, why):
+def test_one_percent_change_retrains(change, why):
     assert retraining_reason(replace(DIGEST, **change), DIGEST) == why
     assert retraining_reason(DIGEST, None) == "the month began"
     assert TrainingDigest(**json.loads(json.dumps(asdict(DIGEST)))) == DIGEST
 
 
-def test_flights_not_learned_are_those_that_came_and_no_later_flight_bends_a_curve():
+def test_added_flights_are_not_learned():
     now = replace(DIGEST, flights={"O|A|1": 903, "O|B|1": 90, "O|C|1": 5})
     assert flights_not_learned(now, DIGEST) == 8
     per_k = np.array([[np.nan, 0.1, 0.3, np.nan, 0.2], [np.nan] * 5])
@@ -101,7 +101,7 @@ def record(*frames: pl.DataFrame, messages: list[tuple] = [], entries: list[tupl
 FEBRUARY, MARCH = date(2024, 2, 1), date(2024, 3, 1)
 
 
-def test_what_was_on_record_before_a_month_began():
+def test_record_is_cut_at_month():
     start = datetime(2024, 2, 1, tzinfo=UTC)
     fleet = record(
         flown(70, first=datetime(2024, 1, 1, tzinfo=UTC)),
@@ -138,7 +138,7 @@ def scored_days(n: int, loss: list[float]):
     return tracks(rows, episodes(rows, none.messages, none.maintenance), "HX")
 
 
-def test_a_flight_is_scored_anew_where_it_or_one_before_it_changed():
+def test_changed_flight_rescores_later_ones():
     calm = [0.1] * 60
     scored, new = score_months(scored_days(60, calm), "HX", {})
     assert new.all()
@@ -168,12 +168,12 @@ def test_a_flight_is_scored_anew_where_it_or_one_before_it_changed():
         ({}, {}, True), ({"brier": 9.0}, {"failures": 3.0}, True),
     ],
 )  # fmt: skip
-def test_a_model_that_is_worse_by_more_than_two_per_cent_does_not_serve(candidate, service, promoted):
+def test_two_percent_worse_is_rejected(candidate, service, promoted):
     assert promote({"scores": candidate}, {"scores": service}).promoted is promoted
     assert promote({"scores": candidate}, None).promoted
 
 
-def test_the_learning_is_as_declared():
+def test_learning_is_as_declared():
     """Members, folds, rows and failures: chosen on simulated fleets (docs/prognosis.md)."""
     assert (base_module.MEMBERS, model.FOLDS, model.LEARN_FROM, model.HORIZON) == (3, 5, 12, 300.0)
     # a member learns from every twentieth flight of fifty fleets of twenty aircraft that fly six hundred times
@@ -205,7 +205,7 @@ def flat(chance: float, columns: int = 3) -> SimpleNamespace:
     )  # fmt: skip
 
 
-def test_two_bases_are_one_where_hazards_and_levels_agree_asked_in_parts(monkeypatch):
+def test_bases_compare_by_content(monkeypatch):
     one = Prognosis((flat(0.1), flat(0.2)), (0.05, 0.5, 0.95))
     assert same_base(one, Prognosis((flat(0.1), flat(0.2)), (0.05, 0.5, 0.95)))
     for other in (Prognosis((flat(0.1), flat(0.21)), one.base_levels), Prognosis((flat(0.1),), one.base_levels),
@@ -219,7 +219,7 @@ def test_two_bases_are_one_where_hazards_and_levels_agree_asked_in_parts(monkeyp
     np.testing.assert_array_equal(hazards([1.0, 3.0], rows), whole)
 
 
-def test_a_version_is_a_digest_of_all_that_was_learned():
+def test_version_covers_all_fits():
     base = Prognosis((flat(0.1),), (0.05, 0.5, 0.95))
     fit = ComponentFit(PRIOR_RULES["CC"])
     learned = [{}, {"CC": fit}, {"CC": replace(fit, levels=(0.1, 0.5, 0.9))},
@@ -242,7 +242,7 @@ def test_a_version_is_a_digest_of_all_that_was_learned():
     assert frame.select(_version_of(at)).to_series().to_list() == ["j", "f"]
 
 
-def test_a_first_passage_is_spread_between_its_horizons():
+def test_passage_spreads_between_horizons():
     by = passage_hazards(np.array([[0.2, 0.1, 0.8, 1.0], [0.0, 0.0, 0.0, np.nan]]), (50.0, 100.0, 200.0, 300.0))
     p_by = dict(zip(EDGES, event_by(by)[0], strict=True))
     assert (p_by[10.0], p_by[80.0], p_by[150.0], p_by[300.0]) == pytest.approx((0.04, 0.2, 0.5, 1.0))
@@ -257,7 +257,7 @@ def test_a_first_passage_is_spread_between_its_horizons():
 
 
 @pytest.mark.parametrize(("slope", "n_seen", "flights"), [(2e-4, 29.0, 30.0), (2e-4, 150.0, 100.0), (None, 29.0, 2.0)])
-def test_a_units_own_trend_counts_by_the_flights_it_was_seen_over(slope, n_seen, flights):
+def test_trend_counts_by_flights_observed(slope, n_seen, flights):
     part = components()["CC"]
     rows = pl.DataFrame(
         {"loss": [0.1], "loss_sd": [0.01], "loss_slope_100_per_flight": [slope], "flights_since_drop": [n_seen]},

@@ -55,14 +55,14 @@ CHANGED = (59, "HX", "REPLACED", "FOULED")
 
 
 @pytest.mark.parametrize(("flight", "failed"), [(39, False), (40, True), (59, True), (60, True), (61, False)])
-def test_a_message_ends_a_life_that_is_replaced_within_twenty_flights(flight, failed):
+def test_message_ends_replaced_life(flight, failed):
     """The entry of flight 59's day: the new unit flies from flight 60 on."""
     first, second = lived(faults_on((flight, HX_CODE)), log(CHANGED))
     assert first == (0, flight if failed else 60, failed, True, False)
     assert second == (60, 100, False, False, True)
 
 
-def test_the_first_of_several_messages_ends_a_life_and_tenths_are_tenths():
+def test_first_message_ends_a_life():
     several = pl.concat([faults_on((45, HX_CODE)), faults_on((50, HX_CODE)), faults_on((42, CC_CODE))])
     assert lived(several, log(CHANGED))[0] == (0, 45, True, True, False)
     assert lived(faults_on((45, HX_CODE)), log((59, "HX", "CLEANED", "FOULED"))) == [(0, 100, False, False, False)]
@@ -71,14 +71,14 @@ def test_the_first_of_several_messages_ends_a_life_and_tenths_are_tenths():
 
 
 @pytest.mark.parametrize(("days", "failed"), [(0, True), (1, False), (3, False), (4, True)])
-def test_a_unit_found_sound_within_three_days_did_not_fail(days, failed):
+def test_sound_inspection_revokes_failure(days, failed):
     sound = (50 + days, "HX", "INSPECTED", "NO_FAULT_FOUND")
     assert lived(faults_on((50, HX_CODE)), log(CHANGED, sound))[0][2] == failed
     other = (51, "CC", "INSPECTED", "NO_FAULT_FOUND")
     assert lived(faults_on((50, HX_CODE)), log(CHANGED, other))[0][2]
 
 
-def test_lives_are_told_with_what_ended_them():
+def test_life_table_names_ending():
     features, entries = flown(100), log(CHANGED)
     lives = life_table(features, episodes(features, faults_on((50, HX_CODE)), entries)).filter(component="HX")
     assert lives.select("ended_by", "censored", "n_flights", "first_flight_id", "end_flight_id").rows() == [
@@ -93,7 +93,7 @@ def test_lives_are_told_with_what_ended_them():
     assert rows["life_id"].to_list() == [0] * 60 + [1] * 40
 
 
-def test_prognoses_are_judged_by_what_became_of_them_operator_by_operator():
+def test_outcomes_follow_lives():
     """An event within 50 flights, none, or nobody knows."""
     features = flown(160)
     lives = episodes(features, faults_on((60, HX_CODE)), log((69, "HX", "REPLACED", "FOULED")))
@@ -140,7 +140,7 @@ def described(n: int, tail: str, loss: float | list[float]) -> pl.DataFrame:
     return flown(n, tail, loss=loss, **own)
 
 
-def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
+def test_limit_learns_from_other_tails():
     """Three tails: one fails at 0.15 in February, one at 0.30 in March; a flight knows those of the months before."""
     renewed = [described(100, "T-1", [0.15] * 45 + [0.02] * 55), described(100, "T-2", [0.30] * 75 + [0.02] * 25)]
     rows = pl.concat([*renewed, described(100, "T-3", 0.12)])
@@ -176,7 +176,7 @@ def test_a_limit_is_learned_from_failures_of_other_tails_that_have_happened():
     assert versions["model_version"].explode().n_unique() == 4
 
 
-def test_choices_of_a_declared_component_follow_its_prognosis():
+def test_component_choices_follow_prognosis():
     rows = pl.concat([described(40, "T-1", 0.24), described(70, "T-2", 0.1)])
     inputs = (rows, faults_on((0, HX_CODE)), log(), CC)
 
@@ -188,7 +188,7 @@ def test_choices_of_a_declared_component_follow_its_prognosis():
     assert choices["p_event_200"][1] < choices["p_event_200"][0] / 10.0
 
 
-def test_where_nobody_would_tell_a_unit_may_have_failed_already():
+def test_unreported_unit_may_have_failed():
     rows = described(40, "T-1", 0.24)
     silent, with_messages, mute = (
         component_prognoses(rows, messages, log(), part)["p_event_50"][-1]
@@ -241,7 +241,7 @@ def test_tracks_are_cut_into_lives():
     assert blank.features[99, -1] == pytest.approx(2.5 * LN_RATIO_PER_K)
 
 
-def test_the_rule_is_learned_from_flights_up_to_the_message():
+def test_rule_ignores_flights_after_message():
     """Hot on flights 7, 8 of nine: two in a row first at 8 K on flight 8; after its message a unit tells nothing."""
     features = flown(100, **margin(100))
     track = tracks(features, episodes(features, faults_on((17, HX_CODE)), log((20, "HX", "REPLACED", ""))), "HX")
@@ -256,7 +256,7 @@ def test_the_rule_is_learned_from_flights_up_to_the_message():
         assert warm == plain
 
 
-def test_of_a_simulated_life_every_twentieth_flight_is_a_row():
+def test_simulated_rows_take_twentieth_flights():
     rows, n = simulated_rows(3, fleets=2, aircraft=2, flights=60), 0
     begins = np.random.default_rng(4)
     for lives, doubt in draw_fleets(3, 2, 2, 60):
@@ -271,7 +271,7 @@ def test_of_a_simulated_life_every_twentieth_flight_is_a_row():
         n += len(left)
 
 
-def test_a_compressors_loss_and_the_limit_of_its_message():
+def test_compressor_track_prefers_efficiency():
     """By efficiency, else by the square of what is left of the diameter; the limit is the declared one."""
     n = 60
     features = flown(n, cc_efficiency_loss=[None] + [0.01 * k for k in range(1, n)], cc_efficiency_loss_sd=0.2,

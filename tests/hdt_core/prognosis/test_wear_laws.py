@@ -34,7 +34,7 @@ def described(losses: np.ndarray) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_slope_is_the_derivative(law):
+def test_law_slope_is_derivative(law):
     loss = np.array([0.1, 0.3])
 
     difference = (law.grown(loss + 1e-6) - law.grown(loss - 1e-6)) / 2e-6
@@ -42,25 +42,25 @@ def test_slope_is_the_derivative(law):
     np.testing.assert_allclose(law.slope(loss), difference, rtol=1e-6)
 
 
-def test_a_power_that_is_none_is_refused():
+def test_zero_power_is_refused():
     with pytest.raises(ValueError, match="positive power"):
         power_law(0.0)
 
 
-def test_a_declared_law_is_the_only_one():
+def test_declared_law_is_used_alone():
     (only,) = wear_laws(replace(CC, wear_law=RESISTANCE), described(loss_of(LINEAR, 200)))
 
     assert only == (RESISTANCE, 1.0)
 
 
-def test_without_lives_the_prior_stands():
+def test_prior_stands_without_lives():
     weights = wear_laws(CC, described(np.zeros(20)))
 
     assert [x.weight for x in weights] == pytest.approx([x.weight for x in UNDECLARED])
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_lives_favour_the_law_they_follow(law):
+def test_lives_favour_their_law(law):
     lives = [described(loss_of(law, 200)).with_columns(tail=pl.lit(f"T-{k}")) for k in range(12)]
 
     weights = wear_laws(CC, pl.concat(lives))
@@ -69,7 +69,7 @@ def test_lives_favour_the_law_they_follow(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_remaining_life_follows_the_declared_law(law):
+def test_remaining_life_follows_declared_law(law):
     """Half of a life of 200 flights: a straight line through the loss would err by 30 to 100 flights."""
     part = replace(CC, wear_law=law, life_flights=200.0, limit=replace(CC.limit, mean=0.35, sd=1e-3, unit_sd=1e-3))
     rows = described(loss_of(law, 200)[:100])
