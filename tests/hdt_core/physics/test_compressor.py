@@ -37,7 +37,7 @@ CRUISE_TABLE = [  # inlet K, kPa, exit kPa, rpm at D 0.1731 m, exit degC, kW; ef
 
 
 @pytest.mark.parametrize("row", CRUISE_TABLE)
-def test_cabin_compressor_cruise_table(row):
+def test_reproduces_cruise_table(row):
     inlet_k, inlet_kpa, exit_kpa, rpm, exit_degc, power_kw = row
     diameter = effective_diameter_m(inlet_kpa, exit_kpa, inlet_k, rpm * RPM)
     assert diameter == pytest.approx(0.1731, rel=0.012)
@@ -46,7 +46,7 @@ def test_cabin_compressor_cruise_table(row):
     assert 0.42 * 1004.685 * (exit_k - inlet_k) / 1000.0 == pytest.approx(power_kw, abs=1.0)
 
 
-def test_equation_6_needs_its_decimal_point_and_all_four_columns_of_the_table_are_there():
+def test_equation_6_needs_decimal_point():
     """At 36,500 rpm 0.1731 m is a pressure ratio of 3.58; 01731 as printed is nothing a machine can do."""
     assert pressure_ratio(0.1731, 248.0, 36500.0 * RPM) == pytest.approx(3.58, abs=0.01)
     assert pressure_ratio(1731.0, 248.0, 36500.0 * RPM) > 1e20
@@ -54,18 +54,18 @@ def test_equation_6_needs_its_decimal_point_and_all_four_columns_of_the_table_ar
 
 
 @given(st.floats(0.08, 0.3), inlets_k, speeds)
-def test_diameter_comes_back_from_the_pressure_ratio(diameter, inlet_k, speed):
+def test_diameter_inverts_pressure_ratio(diameter, inlet_k, speed):
     ratio = pressure_ratio(diameter, inlet_k, speed)
     assert effective_diameter_m(1.0, ratio, inlet_k, speed) == pytest.approx(diameter, rel=1e-9)
 
 
 @given(st.floats(1e-4, 5e-3), inlets_k, speeds)
-def test_group_comes_back_from_the_flow(group, inlet_k, speed):
+def test_group_inverts_flow(group, inlet_k, speed):
     flow = inlet_flow_kg_s(group, 37.6e3, inlet_k, speed)
     assert area_diameter_tan_beta_m3(flow, 37.6e3, inlet_k, speed) == pytest.approx(group, rel=1e-12)
 
 
-def test_equations_2_to_4_written_out_give_the_groups_flow_and_the_declared_model():
+def test_flow_equals_equations_2_to_4():
     area, diameter, beta, rpm = 0.0100, 0.11, np.radians(35.0), 30500.0
     velocity = np.pi * diameter * rpm / 60.0 * np.tan(beta)
     expected = 37.6e3 / (287.05287 * 251.0) * area * velocity
@@ -82,7 +82,7 @@ def test_equations_2_to_4_written_out_give_the_groups_flow_and_the_declared_mode
     assert np.isnan(effective_diameter_m(1.0, 0.9, 250.0, 3000.0))
 
 
-def test_area_diameter_and_angle_cannot_be_told_apart():
+def test_only_the_group_is_identifiable():
     """Fisher information of (ln A, ln D, beta) has rank 1, however many points there are."""
     rng = np.random.default_rng(5)
     inlet_pa = rng.uniform(25e3, 50e3, 500)
@@ -99,13 +99,13 @@ def test_area_diameter_and_angle_cannot_be_told_apart():
 
 
 @given(st.floats(1.05, 4.0), st.floats(0.5, 0.9))
-def test_efficiency_comes_back_from_the_exit_temperature(ratio, efficiency):
+def test_efficiency_inverts_exit_temperature(ratio, efficiency):
     exit_k = exit_temperature_k(250.0, ratio, efficiency)
     assert isentropic_efficiency(1.0, ratio, 250.0, exit_k) == pytest.approx(efficiency, rel=1e-9)
 
 
 @pytest.mark.parametrize(("what", "gain"), [("ratio", 0.47), ("inlet_k", 0.50), ("speed", -1.0)])
-def test_sensitivity_of_the_diameter(what, gain):
+def test_diameter_has_known_gains(what, gain):
     """r_p +1 % is +0.47 % at r_p 3, T +1 % is +0.5 %, N +1 % is -1 %."""
     base = {"inlet_pa": 1.0, "exit_pa": 2.95, "inlet_k": 250.0, "speed_rad_s": 3500.0}
     key = {"ratio": "exit_pa", "inlet_k": "inlet_k", "speed": "speed_rad_s"}[what]
@@ -114,7 +114,7 @@ def test_sensitivity_of_the_diameter(what, gain):
     assert slope == pytest.approx(gain, abs=0.07)
 
 
-def test_air_agrees_with_coolprop_the_atmosphere_with_ambiance_and_holds_its_heat():
+def test_air_agrees_with_references():
     temperature_k = np.linspace(215.0, 500.0, 20)
     expected = [PropsSI("Cp0mass", "T", t, "P", 1e5, "Air") for t in temperature_k]
     np.testing.assert_allclose(specific_heat_j_kg_k(temperature_k), expected, rtol=4e-4)
@@ -143,7 +143,7 @@ def test_air_agrees_with_coolprop_the_atmosphere_with_ambiance_and_holds_its_hea
     ("altitude_m", "pressure_pa"),
     [(0.0, 101325.0), (5000.0, 54019.9), (11000.0, 22632.0), (15000.0, 12044.5), (20000.0, 5474.88)],
 )
-def test_atmosphere_tables(altitude_m, pressure_pa):
+def test_atmosphere_matches_icao_table(altitude_m, pressure_pa):
     """ICAO Doc 7488/3, geopotential altitude."""
     assert air.standard_pressure_pa(altitude_m) == pytest.approx(pressure_pa, rel=2e-5)
 
@@ -151,7 +151,7 @@ def test_atmosphere_tables(altitude_m, pressure_pa):
 @pytest.mark.parametrize(
     ("mach", "pressure", "temperature"), [(0.5, 0.8430, 0.9524), (0.8, 0.6560, 0.8865), (1.0, 0.5283, 0.8333)]
 )
-def test_isentropic_tables(mach, pressure, temperature):
+def test_isentropic_ratios_match_naca(mach, pressure, temperature):
     """NACA Report 1135, table I: static over total."""
     assert 1.0 / air.total_to_static_pressure(mach) == pytest.approx(pressure, abs=5e-5)
     assert 1.0 / air.total_to_static_temperature(mach) == pytest.approx(temperature, abs=5e-5)
@@ -168,7 +168,7 @@ def rows(heading: str) -> list[list[float]]:
 
 
 @pytest.mark.parametrize("row", rows("ram flow, kg/s"), ids=lambda r: f"ram {r[0]}")
-def test_tied_h_of_a_cross_flow_exchanger(row):
+def test_tied_coefficient_matches_errata(row):
     ram, *printed, last_ua = row
     at = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": ram, "hot_in_k": 390.0, "cold_in_k": 250.0}
 
@@ -180,7 +180,7 @@ def test_tied_h_of_a_cross_flow_exchanger(row):
 
 
 @pytest.mark.parametrize("row", rows("range of VDA"), ids=lambda r: f"to {r[0]:.0f}")
-def test_diameter_and_fit_of_equation_6(row):
+def test_equation_6_matches_errata(row):
     """The range is printed 0-N, so its number reads as -N."""
     top, diameter, r_squared = abs(row[0]), row[1], row[2]
     assert expected_diameter_m(top, 0.1731, -2.9304e-5) == pytest.approx(diameter, abs=5e-5)
@@ -203,7 +203,7 @@ def positions_m(damping, stiffness):
 
 
 @pytest.mark.parametrize("row", RESIMULATED, ids=lambda row: row[0])
-def test_table_2_is_not_computed_from_table_1(row):
+def test_table_2_contradicts_table_1(row):
     """What the page gives for the printed parameters is what they simulate, and not what table 2 prints."""
     damping, stiffness, printed_mse, mse, printed_mape, mape = map(float, row[1:])
     truth = positions_m(0.5, 2.0)

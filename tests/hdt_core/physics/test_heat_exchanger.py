@@ -32,7 +32,7 @@ LAW = {
 
 
 @given(flows, flows, st.floats(300.0, 480.0), st.floats(220.0, 290.0), conductances)
-def test_heat_lost_is_heat_won_and_runs_downhill(hot_flow, ram_flow, hot_in, cold_in, ua):
+def test_heat_lost_is_heat_won(hot_flow, ram_flow, hot_in, cold_in, ua):
     hot_out, ram_out = outlets_k(hot_flow, ram_flow, hot_in, cold_in, ua)
     hot_side_w = hot_flow * mean_specific_heat_j_kg_k(hot_in, hot_out) * (hot_in - hot_out)
     won = ram_flow * mean_specific_heat_j_kg_k(cold_in, ram_out) * (ram_out - cold_in)
@@ -42,14 +42,14 @@ def test_heat_lost_is_heat_won_and_runs_downhill(hot_flow, ram_flow, hot_in, col
 
 
 @given(flows, flows, conductances)
-def test_ua_comes_back_from_the_temperatures(hot_flow, ram_flow, ua):
+def test_measured_conductance_inverts_outlets(hot_flow, ram_flow, ua):
     hot_out, _ = outlets_k(hot_flow, ram_flow, 390.0, 250.0, ua)
     if abs(measured_conductance_w_k(hot_flow, ram_flow, 390.0, hot_out - 1e-7, 250.0) / ua - 1.0) < 1e-6:
         assert measured_conductance_w_k(hot_flow, ram_flow, 390.0, hot_out, 250.0) == pytest.approx(ua, rel=1e-6)
 
 
 @given(flows, flows)
-def test_fouling_warms_the_hot_outlet_and_flow_cools_it(hot_flow, ram_flow):
+def test_fouling_warms_hot_outlet(hot_flow, ram_flow):
     inputs = {"hot_flow_kg_s": hot_flow, "ram_flow_kg_s": ram_flow, "hot_in_k": 390.0, "cold_in_k": 250.0}
     out = HEAT_EXCHANGER.predict({"hx_fouling": np.linspace(-0.2, 0.8, 11)}, inputs)
     assert np.all(np.diff(out["hot_out_k"]) > 0.0)
@@ -58,7 +58,7 @@ def test_fouling_warms_the_hot_outlet_and_flow_cools_it(hot_flow, ram_flow):
     assert more["hot_out_k"] < HEAT_EXCHANGER.predict({}, inputs)["hot_out_k"]
 
 
-def test_films_gain_as_the_properties_of_air_and_conductance_follows_the_flows():
+def test_conductance_follows_flows():
     """Balanced films of exponent 0.6: each side is worth 0.30 in ln UA, both 0.60."""
     step = 1e-6
     hot = np.log(clean_conductance_w_k(0.9 * (1 + step), 1.6, **LAW) / 1500.0) / step
@@ -79,14 +79,14 @@ def test_films_gain_as_the_properties_of_air_and_conductance_follows_the_flows()
         assert cold == pytest.approx(film(0.25 * hot_in_k + 0.75 * cold_in_k) / film(285.0), abs=0.01)
 
 
-def test_a_wall_alone_does_not_care_for_flow_and_impossible_temperatures_have_no_conductance():
+def test_wall_conductance_ignores_flow():
     wall = LAW | {"hx_hot_share": 1e-12, "hx_wall_share": 1.0 - 2e-12}
     assert clean_conductance_w_k(0.3, 3.0, **wall) == pytest.approx(1500.0, rel=1e-9)
     assert np.isnan(measured_conductance_w_k(0.9, 1.6, 390.0, 395.0, 250.0))
     assert np.isnan(measured_conductance_w_k(1.6, 0.9, 390.0, 290.0, 250.0))
 
 
-def test_what_a_loss_does_and_design_knowledge_are_those_on_paper():
+def test_loss_warms_outlet_as_published():
     """Cross-flow, UA 1500 W/K, door fixed: 10 % moves the hot outlet by 3.7 K, 30 % by 13 K (docs/errata.md)."""
     nominal = outlets_k(0.9, 1.6, 390.0, 250.0, 1500.0)[0]
     assert outlets_k(0.9, 1.6, 390.0, 250.0, 1350.0)[0] - nominal == pytest.approx(3.7, abs=0.3)
@@ -108,7 +108,7 @@ def test_what_a_loss_does_and_design_knowledge_are_those_on_paper():
 
 
 @pytest.mark.parametrize(("hot_in_k", "cold_in_k", "ua_w_k"), [(390.0, 250.0, 1500.0), (450.0, 220.0, 4000.0)])
-def test_outlets_settle_with_their_specific_heats_to_a_fifty_millionth_of_a_kelvin(hot_in_k, cold_in_k, ua_w_k):
+def test_outlets_settle_with_specific_heats(hot_in_k, cold_in_k, ua_w_k):
     hot_k, _ = outlets_k(0.9, 1.6, hot_in_k, cold_in_k, ua_w_k)
     rate, ratio = capacity_rates(0.9, 1.6, hot_in_k, hot_k, cold_in_k)
     effectiveness = crossflow_effectiveness(ua_w_k / rate, ua_w_k / rate * ratio)
@@ -167,7 +167,7 @@ def draw_points(n=200):
     return points[:, valid][:, :n], ua_w_k[valid][:n]
 
 
-def test_the_oracle_is_right_where_specific_heat_is_constant():
+def test_cell_oracle_matches_constant_heat():
     points, ua_w_k = draw_points()
     ntu = ua_w_k / (1005.0 * points[0])
     eps = crossflow_effectiveness(ntu, ntu * points[0] / points[1])
@@ -176,7 +176,7 @@ def test_the_oracle_is_right_where_specific_heat_is_constant():
 
 
 @pytest.mark.parametrize(("hot_pa", "ram_pa", "bar"), [(101325.0, 101325.0, 3e-3), (200e3, 40e3, 1e-2)])
-def test_conductance_of_dry_air(hot_pa, ram_pa, bar):
+def test_recovers_conductance_of_dry_air(hot_pa, ram_pa, bar):
     """Within 0.3 % of UA at 200 points; with the hot side at 2 bar the real gas costs up to 1 %, 0.3 % in the mean.
 
     One specific heat at the mean of the inlets was up to 2 and 2.6 % off, 0.5 and 0.8 % in the mean.
@@ -195,7 +195,7 @@ CORE = {"hxt_ntu": 1.5, "hxt_exponent": 0.3, "hxt_loss": 0.1}
 LEFT = np.exp(-0.9 * 1.5 * 1.5**0.3)
 
 
-def test_spray_cools_the_air_by_airspeed_and_without_a_term_nothing_changes():
+def test_spray_cools_the_air():
     assert UNMETERED.predict(CORE, INPUTS)["hot_out_k"] == pytest.approx(290.0 + 110.0 * LEFT)
     room_k = TERMS["water_spray"].shape(INPUTS)
     sprayed = SPRAYED.predict(CORE | {"hxt_water_spray": 0.4}, INPUTS)["hot_out_k"]
@@ -222,7 +222,7 @@ TRUTH = {
 
 
 @pytest.mark.parametrize("name", TERMS)
-def test_what_sensors_record_is_turned_back(name):
+def test_corrections_invert_recorded_signals(name):
     recorded = record_signals(TRUTH, {name: 0.1})
     signal = TERMS[name].signal
     assert np.all(np.abs(recorded[signal] - TRUTH[signal]) > 0.0)
@@ -231,7 +231,7 @@ def test_what_sensors_record_is_turned_back(name):
         np.testing.assert_allclose(back[of], values, rtol=1e-12)
 
 
-def test_shapes_and_bounds_on_paper():
+def test_term_shapes_match_paper():
     """Vapour of 2.5 MJ/kg in air of 1005 J/kg/K, 0.622 kg a kg of it by pressure; a cabin of 80 kPa; 390 K."""
     outside_pa = np.array([285.24e2, 226.32e2])
     shapes = {

@@ -40,14 +40,14 @@ def truth(mu, n, dt_s):
 
 
 @pytest.mark.parametrize(("solver", "error"), [("adaptive", 1e-6), ("rk4", 1e-6), ("euler", 0.5)])
-def test_van_der_pol_at_a_hundredth_of_a_second(solver, error):
+def test_solvers_follow_van_der_pol(solver, error):
     positions = van_der_pol(solver).simulate({}, {}, 0.01, n_samples=2001)["seen"]
     assert np.abs(positions - truth(1.0, 2001, 0.01)).max() < error
     if solver == "euler":
         assert np.abs(positions - truth(1.0, 2001, 0.01)).max() > 0.02  # by name only, and this is why
 
 
-def test_a_stiff_oscillator_goes_to_an_implicit_method_and_a_member_that_explodes_alone():
+def test_stiff_oscillator_is_solved():
     positions = van_der_pol(mu=1000.0).simulate({}, {}, 100.0, n_samples=6)["seen"]
     np.testing.assert_allclose(positions, truth(1000.0, 6, 100.0), atol=1e-5)
     start = np.array([[1.0, 1.0, np.nan]])
@@ -57,7 +57,7 @@ def test_a_stiff_oscillator_goes_to_an_implicit_method_and_a_member_that_explode
     assert np.isnan(later[0, 1:]).all()  # x' = x^2 ends at 1 s; no start
 
 
-def test_orders_are_those_of_the_names_with_steps_as_short_as_the_error_asks():
+def test_solvers_have_nominal_order():
     def error(solver, dt_s):
         x = np.array([1.0, 0.0])
         for _ in range(round(2.0 / dt_s)):
@@ -97,7 +97,7 @@ def walked(rates, x, dt_s):
     return x
 
 
-def test_steps_are_as_short_as_the_error_asks():
+def test_adaptive_steps_follow_the_error():
     """A fast decay that breaks off into a slow one; the second column is small, and faster."""
 
     def rates(x):
@@ -113,7 +113,7 @@ def record(seed=0, solver="adaptive"):
     return declared_problem(model, ["mu"], {}, {"seen": measured}, prior=unknown(np.array([1.4])), dt_s=0.01)
 
 
-def test_van_der_pol_is_estimated_right_and_euler_says_by_how_much_it_is_not():
+def test_least_squares_recovers_damping():
     right = NonlinearLeastSquares().estimate(record())
     assert right.status == "converged"
     assert abs(right.belief.mean[0] - 1.0) < 4.0 * right.belief.sd[0]
@@ -127,7 +127,7 @@ def test_van_der_pol_is_estimated_right_and_euler_says_by_how_much_it_is_not():
     assert "error of the step" in wrong.summary()
 
 
-def test_an_unscented_filter_takes_it_too():
+def test_unscented_filter_recovers_damping():
     estimate = UnscentedKalman(smoother_passes=1).estimate(record())
     assert estimate.status == "converged"
     assert abs(estimate.belief.mean[0] - 1.0) < 4.0 * estimate.belief.sd[0]

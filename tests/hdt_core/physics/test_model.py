@@ -32,7 +32,7 @@ def doubled(*, x, gain):
 
 
 @each_model
-def test_outputs_broadcast_and_nominal_values_lie_within_bounds(model):
+def test_outputs_broadcast_over_batches(model):
     some = model.params[0]
     batch = {some.name: np.array([[0.9], [1.0]]) * some.nominal}
     inputs = {name: np.full(3, value) for name, value in typical(model).items()}
@@ -94,7 +94,7 @@ LOSSES = {
 }  # fmt: skip
 
 
-def test_sensors_and_ranges_are_those_on_paper():
+def test_declarations_match_paper():
     """Noise, bias and gain of each sensor; of each design parameter start, range and deviation of one aircraft; of each
     loss range, drift and deviation of a unit as made."""
     installed = (COMPRESSOR, CORE_EXCHANGER, HEAT_EXCHANGER, RAM_DUCT)
@@ -112,7 +112,7 @@ def test_sensors_and_ranges_are_those_on_paper():
     assert [s.sigma for s in SPRAYED.outputs] == [3.0]
 
 
-def test_roles_divide_the_parameters_and_a_calibrated_model_differs_in_its_values_alone():
+def test_roles_divide_the_parameters():
     health = {p.name for p in COMPRESSOR.free("health")}
     design = {p.name for p in COMPRESSOR.free("design")}
     assert health == {"cc_diameter_loss", "cc_efficiency_loss"}
@@ -133,7 +133,7 @@ def test_roles_divide_the_parameters_and_a_calibrated_model_differs_in_its_value
 
 
 @pytest.mark.parametrize(("upper", "is_share"), [(0.999, True), (1.0, False), (1.1, False)])
-def test_a_share_can_not_reach_one(upper, is_share):
+def test_share_stays_below_one(upper, is_share):
     assert Param("loss", "-", 0.0, (-0.1, upper), "health").is_share is is_share
 
 
@@ -144,7 +144,7 @@ def test_a_share_can_not_reach_one(upper, is_share):
         ({"states": (State("x", "-", 0.0),), "inputs": ()}, "states and rates"),
     ],
 )
-def test_contradictions_are_refused(change, message):
+def test_contradictory_model_is_refused(change, message):
     gain = Param("gain", "-", 1.0, (0.0, 2.0), "design")
     parts = {"inputs": (Signal("x", "-"),), "outputs": (Signal("y", "-"),), "params": (gain,)}
     with pytest.raises(ValueError, match=message):
@@ -159,11 +159,11 @@ def test_contradictions_are_refused(change, message):
         ((1.0, (0.0, 2.0), "design", 0.0, 0.0), "is none"), ((0.0, (-1.0, 2.0), "health", -0.1), "negative"),
     ],
 )  # fmt: skip
-def test_parameters_that_cannot_be_are_refused(arguments, message):
+def test_impossible_parameter_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Param("p", "-", *arguments)
 
 
 @pytest.mark.parametrize("nominal", [0.0, 2.0])
-def test_a_parameter_may_start_at_its_bound(nominal):
+def test_parameter_may_start_at_bound(nominal):
     assert Param("p", "-", nominal, (0.0, 2.0), "design").nominal == nominal

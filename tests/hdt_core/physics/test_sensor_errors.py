@@ -24,19 +24,19 @@ DUCT = PhysicsModel(
     ("error", "out_k", "wall_k"),
     [({"bias_in_k": 1.0}, 18.0, 9.0), ({"bias_out_k": 1.0}, 21.0, 10.0), ({"gain_out_k": 0.1}, 22.0, 10.0)],
 )
-def test_an_error_shifts_its_own_signal(error, out_k, wall_k):
+def test_error_shifts_its_own_signal(error, out_k, wall_k):
     predicted = with_sensor_errors(DUCT).predict(error, {"in_k": 10.0})
 
     assert (predicted["out_k"], predicted["wall_k"]) == pytest.approx((out_k, wall_k))
 
 
-def test_errors_have_the_declared_prior():
+def test_errors_have_declared_prior():
     errors = with_sensor_errors(DUCT).free("design")[1:]
 
     assert {p.name: p.sd for p in errors} == {"bias_in_k": 1.0, "bias_out_k": 1.0, "gain_out_k": 0.01}
 
 
-def test_a_model_without_errors_stays_itself():
+def test_model_without_errors_is_unchanged():
     plain = PhysicsModel("p", (Signal("x", "K"),), (Signal("y", "K", sigma=1.0),), (), lambda x: x)
 
     assert with_sensor_errors(plain) is plain
@@ -54,7 +54,7 @@ def record(bias_k: float, flight_sd_k: float = 0.0) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("method", ["nls", "pso", "ekf", "ukf", "pinn"])
-def test_every_estimator_knows_the_declared_errors(method):
+def test_estimators_allow_for_declared_errors(method):
     """A probe that reads 1 K high would make a gain of 2 one of 2.1, sixty times the samples' own deviation."""
     _, estimate = calibrate_with_sensors(DUCT, record(bias_k=1.0), estimators()[method])
 
@@ -62,7 +62,7 @@ def test_every_estimator_knows_the_declared_errors(method):
     assert abs(gain - 2.0) < 2.0 * sd < 0.3
 
 
-def test_samples_of_a_flight_share_its_error():
+def test_flight_samples_share_an_error():
     exact = replace(DUCT, inputs=(Signal("in_k", "K"),), outputs=(Signal("out_k", "K", sigma=0.5), DUCT.outputs[1]))
 
     sds = [calibrate_with_sensors(exact, record(0.0, own_k))[1].belief.sd[0] for own_k in (0.0, 1.0)]
