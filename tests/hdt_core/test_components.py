@@ -19,7 +19,7 @@ from hdt_core.robust import huber_weights, median_error, spread, spread_expr
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_packs_components_have_versions_that_follow_all_they_say():
+def test_version_follows_declaration():
     codes = {"HX": "21-52-HXTEMP", "CC": "21-51-CCFLOW", "HXT": None, "CAC": None}
     assert {c: k.message_code for c, k in components().items()} == codes
     assert replace(CC).version == CC.version
@@ -40,7 +40,7 @@ def test_the_packs_components_have_versions_that_follow_all_they_say():
         ("absent", "", "can't be loaded: AttributeError"),
     ],
 )
-def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code, message):
+def test_broken_package_is_named(tmp_path, module, code, message):
     install(tmp_path, module, code, f"mine = {module}:X")
     env = os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"}
     command = [str(Path(sys.executable).parent / "hdt"), "nightly", "--landing", str(ROOT / "data_samples")]
@@ -63,7 +63,7 @@ def test_a_package_that_brings_none_is_named_in_one_line(tmp_path, module, code,
         ({"record": Record((Channel("a", "hx_in_k", "K", "a"),))}, "no channel and no derivation gives altitude_m"),
     ],
 )
-def test_a_declaration_that_contradicts_itself_is_refused(change, message):
+def test_contradictory_declaration_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         replace(HX, **change)
 
@@ -71,7 +71,7 @@ def test_a_declaration_that_contradicts_itself_is_refused(change, message):
 NORMAL = np.random.default_rng(5).normal(0.0, 2.0, 200_000)
 
 
-def test_spread_and_hubers_location_are_those_of_normal_values():
+def test_spread_equals_normal_deviation():
     assert spread(NORMAL) == pytest.approx(2.0, rel=0.01)
     strays = np.where(np.arange(NORMAL.size) % 20 == 0, 1e6, NORMAL)
     assert spread(strays) == pytest.approx(2.0, rel=0.1)

@@ -29,7 +29,7 @@ def places_held(flights: pl.DataFrame) -> list[int]:
 
 
 @pytest.mark.parametrize(("first", "after_last"), [(40, N_FLIGHTS), (30, 60), (50, 57), (12, N_FLIGHTS)])
-def test_flights_with_packs_exchanged_are_held(first, after_last):
+def test_exchanged_flights_are_held(first, after_last):
     signs = np.ones(N_FLIGHTS)
     signs[first:after_last] = -1.0
 
@@ -39,11 +39,11 @@ def test_flights_with_packs_exchanged_are_held(first, after_last):
     assert len(wrong) <= 2
 
 
-def test_nothing_is_held_of_packs_in_their_places():
+def test_unexchanged_packs_are_not_held():
     assert places_held(differing(OFFSETS, np.ones(N_FLIGHTS))) == []
 
 
-def test_sensor_changed_with_exchange_back_is_followed():
+def test_exchange_survives_sensor_change():
     signs = np.ones(N_FLIGHTS)
     signs[30:60] = -1.0
     flights = differing(dict.fromkeys(OFFSETS, 3.0), signs).sort("departed_at")
@@ -56,7 +56,7 @@ def test_sensor_changed_with_exchange_back_is_followed():
 
 
 @pytest.mark.parametrize("name", ["hx_out_between_packs_k", "hx_in_between_packs_k"])
-def test_one_signal_that_changes_sign_is_no_exchange(name):
+def test_single_sign_change_is_ignored(name):
     flights = differing(OFFSETS, np.ones(N_FLIGHTS)).sort("departed_at")
     is_late = pl.int_range(pl.len()) >= 45
 
@@ -65,7 +65,7 @@ def test_one_signal_that_changes_sign_is_no_exchange(name):
     assert places_held(changed) == []
 
 
-def test_a_flow_that_is_set_anew_is_no_exchange():
+def test_changed_flow_is_no_exchange():
     flights = differing(OFFSETS, np.ones(N_FLIGHTS)).sort("departed_at")
     is_late = pl.int_range(pl.len()) >= 45
     of_flow = [name for name in BETWEEN_PACKS if not name.endswith("_k")]
@@ -75,20 +75,20 @@ def test_a_flow_that_is_set_anew_is_no_exchange():
     assert places_held(changed) == []
 
 
-def test_packs_that_read_alike_are_not_told_apart():
+def test_like_packs_are_not_held():
     signs = np.where(np.arange(N_FLIGHTS) < 40, 1.0, -1.0)
 
     assert places_held(differing(dict.fromkeys(OFFSETS, 0.2), signs)) == []
 
 
-def test_channels_that_are_not_recorded_are_left_out():
+def test_missing_channel_is_left_out():
     signs = np.where(np.arange(N_FLIGHTS) < 40, 1.0, -1.0)
     flights = differing(OFFSETS, signs).with_columns(pl.lit(None, pl.Float64).alias("cc_out_between_packs_pa"))
 
     assert places_held(flights) == list(range(40, N_FLIGHTS))
 
 
-def test_exchange_is_judged_with_the_record():
+def test_judge_names_the_exchange():
     signs = np.where(np.arange(N_FLIGHTS) < 40, 1.0, -1.0)
     no_deliveries = pl.DataFrame(schema={"operator": pl.String, "tail": pl.String, "delivered_on": pl.Date})
 
@@ -97,7 +97,7 @@ def test_exchange_is_judged_with_the_record():
     assert held["reason"].unique().to_list() == ["packs_exchanged"]
 
 
-def test_exchanged_packs_are_read_in_their_places():
+def test_exchanged_packs_are_swapped_back():
     key = {"operator": "AQX", "tail": "LX-AA0"}
     rows = pl.DataFrame([key | {"flight_id": f, "pack": p} for f in "abc" for p in (1, 2)])
     held = pl.DataFrame(

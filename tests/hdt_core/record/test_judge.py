@@ -61,21 +61,21 @@ def test_good_flights_are_not_held(n_aircraft, n_days):
         ({"clock_back_s": 60, "n_steps_back": 1}, None),
     ],
 )
-def test_a_flight_is_judged_by_its_own_record(good, facts, reason):
+def test_own_record_decides_reason(good, facts, reason):
     run = flight("LX-AA0", START + timedelta(days=3, hours=14), 4, **facts)
 
     assert reasons(judge(good, listed([run]))).get(run["flight_id"]) == reason
 
 
 @pytest.mark.parametrize(("back_s", "cause"), [(86_400 - 300, "midnight"), (3_600, None)])
-def test_date_not_advanced_at_midnight_is_the_likely_cause(good, back_s, cause):
+def test_midnight_is_the_likely_cause(good, back_s, cause):
     run = flight("LX-AA0", START + timedelta(days=3, hours=14), 4, clock_back_s=back_s, n_steps_back=1)
 
     assert judge(good, listed([run]))["likely_cause"].to_list() == [cause]
 
 
 @pytest.mark.parametrize(("minutes", "reason"), [(-1, None), (1, "after_clock")])
-def test_what_lands_after_the_clock_waits(minutes, reason):
+def test_landing_after_clock_waits(minutes, reason):
     landed_at = NOW + timedelta(minutes=minutes)
     own = flight("LX-AA9", landed_at - timedelta(hours=1), 1, landed_at=landed_at)
 
@@ -90,7 +90,7 @@ def test_what_lands_after_the_clock_waits(minutes, reason):
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("place", [5, 44, -1])
-def test_a_misdated_flight_is_held(good, offset, cause, place):
+def test_misdated_flight_is_held(good, offset, cause, place):
     right = nth(good, "LX-AA1", place)
     wrong = moved(right, offset)
 
@@ -102,7 +102,7 @@ def test_a_misdated_flight_is_held(good, offset, cause, place):
 
 
 @pytest.mark.parametrize("n_aircraft", [1, 4])
-def test_the_flights_after_a_week_rollover_are_held(n_aircraft):
+def test_week_rollover_is_held(n_aircraft):
     good = fleet(60, n_aircraft)
     late = nth(good, "LX-AA0", *range(120, 180))
 
@@ -111,7 +111,7 @@ def test_the_flights_after_a_week_rollover_are_held(n_aircraft):
     assert held["likely_cause"].to_list() == ["week_rollover"] * 60
 
 
-def test_a_flight_that_another_recorder_dated_right_does_not_hide_a_rollover():
+def test_second_recorder_hides_no_rollover():
     good = fleet(60, 4)
     late = nth(good, "LX-AA0", *range(120, 180))
     right = late[30:31].with_columns(source=pl.lit("cpl"))
@@ -128,21 +128,21 @@ def test_day_exchanged_with_month_is_named(good):
     assert judge(without(good, right), wrong)["likely_cause"].to_list() == ["day_month_exchanged"]
 
 
-def test_a_default_date_is_named(good):
+def test_default_date_is_named(good):
     wrong = listed([flight("LX-AA1", datetime(2000, 1, 1, 3, tzinfo=START.tzinfo), 1)])
 
     assert judge(good, wrong)["likely_cause"].to_list() == ["default_date"]
 
 
 @pytest.mark.parametrize("parked", [range(30, 180), range(30, 300)])
-def test_a_parked_aircraft_is_not_held(parked):
+def test_parked_aircraft_is_not_held(parked):
     good = fleet(120)
 
     assert judge(without(good, nth(good, "LX-AA1", *parked))).is_empty()
 
 
 @pytest.mark.parametrize("n_aircraft", [2, 6])
-def test_a_fleet_resumes_after_a_pause(n_aircraft):
+def test_fleet_resumes_after_pause(n_aircraft):
     good = fleet(60, n_aircraft)
     later = moved(fleet(2, n_aircraft), "200d")
 
@@ -150,7 +150,7 @@ def test_a_fleet_resumes_after_a_pause(n_aircraft):
 
 
 @pytest.mark.parametrize(("delivered_on", "n_held"), [(START.date(), 1), (None, 0)])
-def test_a_delivery_date_is_evidence(good, delivered_on, n_held):
+def test_delivery_date_is_evidence(good, delivered_on, n_held):
     others_before = moved(fleet(60), "-60d").filter(pl.col("tail") != "LX-AA1")
     early = moved(nth(good, "LX-AA1", 0), "-40d")
     deliveries = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AA1"], "delivered_on": [delivered_on]})
@@ -161,7 +161,7 @@ def test_a_delivery_date_is_evidence(good, delivered_on, n_held):
 
 
 @pytest.mark.parametrize(("offset", "values"), [("0s", 600), ("1s", 600), ("1s", 590), ("-1s", 590), ("10m", 600)])
-def test_a_copy_is_held(good, offset, values):
+def test_copy_is_held(good, offset, values):
     right = nth(good, "LX-AA1", 10, 11, 30)
     copies = moved(right.with_columns(n_values=pl.lit(values, pl.Int64)), offset)
     renumbered = copies.with_columns(
@@ -176,14 +176,14 @@ def test_a_copy_is_held(good, offset, values):
     ]
 
 
-def test_the_copy_with_fewer_values_is_held(good):
+def test_sparser_copy_is_held(good):
     right = nth(good, "LX-AA1", 10)
     better = right.with_columns(n_values=pl.lit(700, pl.Int64), flight_id=pl.lit("LX-AA1_20240307_25"))
 
     assert judge(good, better)["flight_id"].to_list() == right["flight_id"].to_list()
 
 
-def test_a_misdated_flight_among_others_is_held(good):
+def test_overlapping_flight_is_held(good):
     right = nth(good, "LX-AA1", 40)
     wrong = moved(right, "-119h", leg=9)  # a ninth leg that begins during the second
 
@@ -194,14 +194,14 @@ def test_a_misdated_flight_among_others_is_held(good):
     ("pause_min", "altitude_m", "reason"),
     [(5, 11_000.0, "continuation"), (40, 11_000.0, None), (5, 800.0, None), (1, 5_000.0, None)],
 )
-def test_the_rest_of_a_split_flight_is_held(pause_min, altitude_m, reason):
+def test_rest_of_split_flight_is_held(pause_min, altitude_m, reason):
     first = flight("LX-AA0", START, 1, last_altitude_m=11_000.0)
     rest = flight("LX-AA0", START + timedelta(minutes=90 + pause_min), 2, 9, first_altitude_m=altitude_m)
 
     assert reasons(judge(listed([first, rest]))).get(rest["flight_id"]) == reason
 
 
-def test_another_operators_tail_is_not_continued():
+def test_other_operator_is_not_continued():
     first = flight("LX-AA0", START, 1, last_altitude_m=11_000.0, operator="AQW")
     rest = flight("LX-AA0", START + timedelta(minutes=95), 2, 9, first_altitude_m=11_000.0)
 

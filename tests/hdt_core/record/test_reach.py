@@ -43,17 +43,17 @@ RECORD = flown(HOME, *range(30))
 
 
 @pytest.mark.parametrize(("day", "held"), [(39, []), (200, [200])])
-def test_few_flights_beyond_the_longest_pause_are_held(day, held):
+def test_flights_beyond_pause_are_held(day, held):
     assert held_days(RECORD, flown(HOME, day)) == held
 
 
-def test_flight_that_lands_late_bridges_the_pause():
+def test_late_landing_bridges_pause():
     """A clock that ran on at the end of one flight moves no later flight out of reach."""
     late = flown(HOME, 30, hours=24 * 24)
     assert held_days(RECORD, late, flown(HOME, 31, 53)) == []
 
 
-def test_same_tail_of_another_operator_is_company():
+def test_other_operators_tail_is_company():
     other = flown(("BBB", "LX-1"), *range(95, 110))
     assert held_days(RECORD, flown(HOME, 100), other) == []
 

@@ -53,7 +53,7 @@ def judge(flights: pl.DataFrame, entries: pl.DataFrame, messages: pl.DataFrame |
     return judge_work(flights, entries, messages, "HX", ("REPLACED", "CLEANED")).sort("counts_from")
 
 
-def test_recovery_is_found_where_it_falls():
+def test_recovery_is_located():
     loss = np.where(np.arange(100) < 40, 0.2, np.where(np.arange(100) < 43, 0.17, 0.02))
 
     assert find_recoveries(loss, np.full(100, 0.01)) == [43]
@@ -77,7 +77,7 @@ def test_small_fall_is_no_recovery(loss, sd):
         ((1, RENEWED - 30), "not_seen", 1, RENEWED - 30),
     ],
 )
-def test_verdict_on_work(entry, verdict, position, from_flight):
+def test_verdict_follows_flights(entry, verdict, position, from_flight):
     judged = judge(flown(WORN, CLEAN), log(entry))
 
     columns = judged.select("verdict", "position", "flown_from")
@@ -85,33 +85,33 @@ def test_verdict_on_work(entry, verdict, position, from_flight):
 
 
 @pytest.mark.parametrize("losses", [(CLEAN,), (np.full(FLIGHTS, np.nan),)])
-def test_log_counts_where_loss_shows_nothing(losses):
+def test_log_counts_without_evidence(losses):
     judged = judge(flown(*losses), log((1, RENEWED)))
 
     assert judged["in_force"].to_list() == [True]
 
 
 @pytest.mark.parametrize(("since", "verdict"), [(9, "logged"), (10, "not_seen")])
-def test_ten_flights_settle_work_not_done(since, verdict):
+def test_ten_flights_refute_work(since, verdict):
     worn = np.full(RENEWED + since, 0.3)
 
     assert judge(flown(worn), log((1, RENEWED)))["verdict"].to_list() == [verdict]
 
 
 @pytest.mark.parametrize(("messages", "verdict"), [((), "repeated"), ((RENEWED + 2,), "logged")])
-def test_work_listed_twice(messages, verdict):
+def test_second_entry_needs_a_message(messages, verdict):
     judged = judge(flown(WORN), log((1, RENEWED), (1, RENEWED + 3)), sent(*messages))
 
     assert judged["verdict"].to_list() == ["logged", verdict]
 
 
-def test_settled_log_has_place_and_moment():
+def test_settled_log_corrects_its_entry():
     settled = settle(judge(flown(WORN, CLEAN), log((2, RENEWED + 30))))
 
     assert settled.select("pack", "counts_from").row(0) == (1, departure(RENEWED))
 
 
-def test_work_not_done_counts_until_known():
+def test_undone_work_counts_until_known():
     known = as_known(judge(flown(np.full(FLIGHTS, 0.3)), log((1, RENEWED))))
 
     assert known.select("counts_from", "until").row(0) == (departure(RENEWED), departure(RENEWED + 9))
@@ -126,7 +126,7 @@ def test_work_not_done_counts_until_known():
     ],
     ids=["on time", "late", "not done"],
 )
-def test_units_follow_the_record_of_their_time(loss, entry, units):
+def test_units_follow_contemporary_record(loss, entry, units):
     flights = flown(loss)
 
     known = units_as_known(flights, judge(flights, log((1, entry))))
@@ -135,7 +135,7 @@ def test_units_follow_the_record_of_their_time(loss, entry, units):
 
 
 @pytest.mark.parametrize("loss", [WORN, np.full(FLIGHTS, 0.3)], ids=["late", "not done"])
-def test_units_known_then_need_no_later_flight(loss):
+def test_units_need_no_later_flight(loss):
     entries = log((1, RENEWED + 30) if loss is WORN else (1, RENEWED))
     whole, early = flown(loss), flown(loss[:95])
 

@@ -49,7 +49,7 @@ def units(hours: list[float], log: pl.DataFrame) -> list[int]:
     return number_units(flown(hours), log)["unit"].to_list()
 
 
-def test_a_day_counts_from_its_end_and_only_another_unit_of_that_component():
+def test_work_counts_from_day_end():
     hours = [2.0, 8.0, 23.9, 24.0, 30.0]
     assert units(hours, work((0, None))) == [0, 0, 0, 1, 1]
     assert units(hours, work((0, 8.0))) == [0, 1, 1, 1, 1]
@@ -89,12 +89,12 @@ def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
     hours=st.lists(st.floats(0.0, 239.0), min_size=2, max_size=30, unique=True),
     days=st.lists(st.tuples(st.integers(0, 9), st.none() | st.floats(0.0, 23.9)), max_size=4),
 )
-def test_all_who_ask_get_one_answer(hours, days):
+def test_modules_agree_on_units(hours, days):
     results = answers(flown(hours), work(*days))
     assert all(answer == results["records"] for answer in results.values()), results
 
 
-def test_lives_and_figure_cut_where_the_twin_does():
+def test_lives_are_cut_at_replacement():
     """A message on the day of the replacement ends the old unit's life, and the figure's zero is the first after it."""
     flights = flown([24.0 * day + 6.0 * leg for day in range(60) for leg in range(4)])
     log = work((40, None))
@@ -130,7 +130,7 @@ def wrong(truths: list[tuple[pl.DataFrame, pl.DataFrame]], shift: dt.timedelta) 
     return early, late, replacements
 
 
-def test_against_the_truth_no_old_unit_is_ever_called_new(truths):
+def test_no_old_unit_counts_as_new(truths):
     early, late, replacements = wrong(truths, dt.timedelta())
     assert replacements >= 6
     assert early == 0

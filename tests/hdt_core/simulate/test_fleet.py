@@ -24,14 +24,14 @@ def fleet():
     return list(simulate_fleet(11, SIZE))
 
 
-def test_same_seed_same_fleet_and_parts_do_not_depend_on_size(fleet):
+def test_same_seed_gives_same_fleet(fleet):
     again = next(iter(simulate_fleet(11, SIZE)))
     assert again.snapshots.equals(fleet[0].snapshots)
     assert again.health.equals(fleet[0].health)
     assert not next(iter(simulate_fleet(12, SIZE))).snapshots.equals(fleet[0].snapshots)
 
 
-def test_the_layout_is_the_contracts_and_truth_has_every_flight(fleet):
+def test_snapshots_follow_the_contract(fleet):
     for aircraft in fleet:
         columns = ["flight_id", "report_time", "phase_code", "pack", *SENSORS]
         assert set(aircraft.snapshots.columns) <= set(columns)
@@ -48,7 +48,7 @@ def test_the_layout_is_the_contracts_and_truth_has_every_flight(fleet):
     assert {"eq6_intercept_m", "eq6_slope_m_per_count"} <= set(design_truth(11)["parameter"])
 
 
-def test_a_sound_pack_loses_what_the_ram_air_wins_and_a_worn_compressor_heats_the_exchanger():
+def test_sound_pack_conserves_heat():
     rng = np.random.default_rng(0)
     design, one = draw_design(rng), np.ones(1)
     now, demand = packs.reference(one), packs.reference_demand(design, one)
@@ -69,7 +69,7 @@ def test_a_sound_pack_loses_what_the_ram_air_wins_and_a_worn_compressor_heats_th
     assert 5.0 < hotter_k[1] < 25.0
 
 
-def test_controller_holds_its_target_and_hides_the_wear():
+def test_controller_holds_its_target():
     design = draw_design(np.random.default_rng(1))
     n = 6
     one = np.ones(n)
@@ -83,7 +83,7 @@ def test_controller_holds_its_target_and_hides_the_wear():
     np.testing.assert_allclose(hot_k[door < 0.99], demand.target_k[door < 0.99], atol=0.2)
 
 
-def test_blockage_looks_worse_to_one_who_trusts_the_clean_duct():
+def test_blockage_exaggerates_apparent_loss():
     design, one = draw_design(np.random.default_rng(2)), np.ones(3)
     wear = packs.ExchangerWear(0 * one, np.array([0.0, 0.2, 0.4]), 0 * one, one)
     ratio, apparent, ram = packs.loss_ratios(design, wear)
@@ -96,7 +96,7 @@ def test_blockage_looks_worse_to_one_who_trusts_the_clean_duct():
     np.testing.assert_allclose(ratio, apparent, atol=0.01)
 
 
-def test_messages_follow_large_losses_or_door_faults():
+def test_messages_follow_large_losses():
     failed = []
     for seed in (1, 2, 3, 4):
         for aircraft in simulate_fleet(seed, FleetSettings(operators=2, tails=3, flights=300)):
@@ -107,7 +107,7 @@ def test_messages_follow_large_losses_or_door_faults():
     assert 0.2 < np.median(failed) < 0.6
 
 
-def test_effective_diameter_is_that_of_equation_5(fleet):
+def test_diameter_follows_equation_5(fleet):
     for aircraft in fleet:
         running = (pl.col("phase_code") == "CR") & (pl.col("cc_speed_rpm") > 1e4)
         rows = aircraft.snapshots.filter(running).drop_nulls(["cc_in_psia", "cc_out_psia", "cc_in_degc"])
@@ -123,7 +123,7 @@ def test_effective_diameter_is_that_of_equation_5(fleet):
         assert (both["seen"] - both["cc_eff_diameter_m"]).abs().median() < 0.0015
 
 
-def test_one_hz_log_is_smooth_and_its_core_lags(fleet):
+def test_one_hz_log_is_smooth(fleet):
     logs = [log for aircraft in fleet for log in aircraft.cpl.values()]
     assert logs
     log = logs[0].filter(pl.col("pack") == 1)
@@ -137,7 +137,7 @@ def test_one_hz_log_is_smooth_and_its_core_lags(fleet):
 SMALL = EpisodeSettings(aircraft=40, flights=400)
 
 
-def test_the_message_comes_on_the_second_hot_flight_of_three():
+def test_second_hot_flight_raises_message():
     lives = draw_episodes(1, SMALL)
     ended = np.nonzero(lives.message < SMALL.flights)[0]
     assert ended.size > 10
@@ -149,7 +149,7 @@ def test_the_message_comes_on_the_second_hot_flight_of_three():
         assert not (hot[unit, 1:end] & hot[unit, : end - 1]).any()
 
 
-def test_lives_end_where_flights_ask_for_more_than_is_left():
+def test_lives_end_once_demand_exceeds_ratio():
     exact = replace(SMALL, noise_sd=1e-9, drift_sd=0.0, map_error=0.0, pack_error=0.0)
     lives = draw_episodes(2, exact)
     ended = np.nonzero(lives.message < SMALL.flights)[0]
@@ -158,7 +158,7 @@ def test_lives_end_where_flights_ask_for_more_than_is_left():
     assert (lives.ratio[ended, lives.message[ended]] < demand + 0.06).all()
 
 
-def test_hazard_rises_with_loss_noise_is_as_asked_and_washed_units_wear_less():
+def test_hazard_rises_with_loss():
     lives = draw_episodes(2, SMALL)
     left, failed = lives.remaining()
     at = (left >= 0) & failed
@@ -173,7 +173,7 @@ def test_hazard_rises_with_loss_noise_is_as_asked_and_washed_units_wear_less():
     assert washed.loss[:, -1].mean() < 0.7 * never.loss[:, -1].mean()
 
 
-def test_an_unlogged_record_goes_on_with_the_next_unit_and_its_message():
+def test_unlogged_record_joins_next_life():
     lives = draw_episodes(5, SMALL)
     joined = join_unlogged_lives(np.random.default_rng(0), lives)
     left, failed = joined.remaining()
@@ -191,7 +191,7 @@ def population(shape: str, units: int = 200, flights: int = 500, **kw: float) ->
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_wear_never_heals_and_stays_a_fraction(shape):
+def test_wear_never_heals(shape):
     loss = population(shape)
     assert (np.diff(loss, axis=1) >= -1e-12).all()
     assert loss.min() >= 0.0
@@ -199,14 +199,14 @@ def test_wear_never_heals_and_stays_a_fraction(shape):
 
 
 @pytest.mark.parametrize(("shape", "sign"), [("accelerating", 1), ("asymptotic", -1), ("falling_rate", -1)])
-def test_shapes_bend_the_way_their_names_say(shape, sign):
+def test_shapes_bend_as_named(shape, sign):
     loss = population(shape)
     first, second = loss[:, 250] - loss[:, 0], loss[:, 499] - loss[:, 250]
     worn = loss[:, 499] < 0.85
     assert np.mean(sign * (second - first)[worn] > 0) > 0.95
 
 
-def test_same_state_same_lives_that_end_at_the_reference_loss_and_clog_at_their_rate():
+def test_lives_end_at_reference_loss():
     loss = population("linear", life_log_sd=0.0, life_median_flights=400.0)
     assert np.median(loss[:, 400]) == pytest.approx(0.42, rel=0.02)
     settings = WearSettings(life_median_flights=1e9, clog_rate=1 / 1000, shape_shares=(1.0, 0, 0, 0, 0))
