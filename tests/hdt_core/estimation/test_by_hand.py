@@ -69,8 +69,10 @@ def test_fit_statistics_follow_residuals():
     """White's sandwich with n / (n - p), deviations scaled by reduced chi-square, Akaike's and Schwarz's criteria."""
     estimate = NonlinearLeastSquares().estimate(line())
     mean = np.linalg.lstsq(A, MEASURED / 0.1, rcond=None)[0]
-    r, cov = MEASURED / 0.1 - A @ mean, np.linalg.inv(A.T @ A)
-    fit, chi2 = estimate.fit, r @ r
+    r = MEASURED / 0.1 - A @ mean
+    cov = np.linalg.inv(A.T @ A)
+    fit = estimate.fit
+    chi2 = r @ r
     assert (fit.n_values, fit.n_free, fit.degrees) == (12, 2, 10)
     assert (fit.chi2, fit.reduced_chi2) == pytest.approx((chi2, chi2 / 10.0))
     assert fit.p_value == pytest.approx(stats.chi2.sf(chi2, 10))
@@ -86,13 +88,15 @@ def test_fit_statistics_follow_residuals():
 @pytest.mark.parametrize(("n", "factor"), [(1, 1.0), (2, 2.0), (3, 3.0), (4, 2.0)])
 def test_fit_statistics_at_few_degrees(n, factor):
     """Of 1 + x, off by tenths: chi-square below 1. White's factor is n / (n - p), n without a degree of freedom."""
-    slope, r = np.column_stack([np.ones(n), np.arange(n)]), 0.1 * np.array([1.0, -2.0, 3.0, 1.0])[:n]
+    slope = np.column_stack([np.ones(n), np.arange(n)])
+    r = 0.1 * np.array([1.0, -2.0, 3.0, 1.0])[:n]
     prior = np.eye(2)
     fit = Fit(r[:, None], np.array([True, True]), slope, prior)
     assert fit.degrees == max(n - 2, 0)
     scale = r @ r / (n - 2) if n > 2 else 1.0
     np.testing.assert_allclose(fit.scaled_sd, np.sqrt(np.diag(np.linalg.inv(slope.T @ slope / scale + prior))))
-    bread, score = np.linalg.inv(slope.T @ slope + prior), slope * r[:, None]
+    bread = np.linalg.inv(slope.T @ slope + prior)
+    score = slope * r[:, None]
     meat = bread @ (factor * score.T @ score + prior) @ bread
     np.testing.assert_allclose(fit.sandwich_sd, np.sqrt(np.diag(meat)), rtol=1e-9)
     assert fit.bic == pytest.approx(n * np.log(r @ r / n) + 2.0 * np.log(n))
@@ -109,7 +113,8 @@ def test_filter_fit_uses_innovations():
     figure = Figure()
     axes = figure.add_subplot()
     NonlinearLeastSquares().estimate(line()).plot(axes)
-    band, (points, zero) = axes.patches[0].get_extents().transformed(axes.transData.inverted()), axes.lines
+    band = axes.patches[0].get_extents().transformed(axes.transData.inverted())
+    points, zero = axes.lines
     assert (band.y0, band.y1) == pytest.approx((-2.0, 2.0))
     assert set(zero.get_ydata()) == {0.0}
     np.testing.assert_allclose(points.get_ydata(), NonlinearLeastSquares().estimate(line()).fit.residuals[:, 0])
@@ -172,7 +177,8 @@ def test_identifiability_follows_information():
 
 def test_fit_status_follows_optimum():
     optimum = NonlinearLeastSquares().estimate(line())
-    mean, sd = optimum.belief.mean, optimum.belief.sd
+    mean = optimum.belief.mean
+    sd = optimum.belief.sd
     # alone along the first parameter, 4.9e-4 and 5.1e-4 of a deviation away
     step = 1.0 / np.sqrt((A.T @ A)[0, 0])
     for off, reached, status in ((4.9e-4, "max_steps", "converged"), (5.1e-4, "converged", "max_steps"),
@@ -246,7 +252,8 @@ def test_senseless_problem_is_refused(wrong):
 
 def test_kalman_update_is_conditional_normal():
     cov = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.0], [0.1, 0.0, 0.5]])
-    belief, h = Belief(np.array([1.0, -1.0, 0.5]), cov), np.array([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]])
+    belief = Belief(np.array([1.0, -1.0, 0.5]), cov)
+    h = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]])
     model = Affine(h, np.array([0.2, -0.1]), np.diag([0.01, 0.02]))
     sigma = np.array([0.3, 0.4])
     measured = np.array([2.0, -2.0])

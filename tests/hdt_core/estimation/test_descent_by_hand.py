@@ -36,7 +36,8 @@ SIZE = np.array([2.0, 3.5, 1.8])
     ],
 )
 def test_damped_step_respects_bounds(gradient, lower, upper, free, ends):
-    g, expected = np.array(gradient), np.zeros(3)
+    g = np.array(gradient)
+    expected = np.zeros(3)
     matrix = (NORMAL + 0.3 * np.diag(SIZE**2))[np.ix_(free, free)]
     expected[free] = np.linalg.solve(matrix, -g[free])
     for i, end in ends.items():
@@ -77,7 +78,8 @@ def test_optimum_equals_linear_algebra():
     assert determinant == pytest.approx(np.linalg.det(NORMAL) / (4.0 * 9.0 * 3.0))
     for singular in ([[1.0, 0.0], [0.0, 0.0]], [[1.0, 1.0], [1.0, 1.0]]):
         assert inverse_spd(np.array(singular))[1] == 0.0
-    gradient, sd = np.array([0.3, -0.2, 0.1]), np.sqrt(np.diag(np.linalg.inv(NORMAL)))
+    gradient = np.array([0.3, -0.2, 0.1])
+    sd = np.sqrt(np.diag(np.linalg.inv(NORMAL)))
     for share, off in ((0.9, False), (1.1, True)):
         for side in (0, 1):
             bounds = np.tile([-9.0, 9.0], (3, 1))
@@ -101,24 +103,31 @@ def steps_by_hand(theta, most):
 
     def at(t):
         bell = np.exp(-t[1] * TIME)
-        r, slope = (t[0] * bell - DECAY) / 0.1, np.column_stack([bell, -t[0] * TIME * bell]) / 0.1
+        r = (t[0] * bell - DECAY) / 0.1
+        slope = np.column_stack([bell, -t[0] * TIME * bell]) / 0.1
         return r @ r, slope.T @ r, slope.T @ slope
 
-    (cost, gradient, normal), evals, mu, growth, size = at(theta), 5, 1e-3, 2.0, np.zeros(2)
+    cost, gradient, normal = at(theta)
+    evals = 5
+    mu = 1e-3
+    growth = 2.0
+    size = np.zeros(2)
     for _ in range(most):
         size = np.maximum(size, np.diag(normal))
         step = -np.linalg.solve(normal + mu * np.diag(size), gradient)
         promised = -2.0 * gradient @ step - step @ normal @ step
         if promised < 1e-8 * cost / 9:
             return theta + step, evals
-        won, evals = cost - at(theta + step)[0], evals + 1
+        won = cost - at(theta + step)[0]
+        evals += 1
         mu, growth = (
             (mu * max(0.1, 1.0 - (2.0 * min(won / promised, 1.0) - 1.0) ** 3), 2.0)
             if won > 0
             else (mu * growth, 2 * growth)
         )
         if won > 0:
-            theta, evals = theta + step, evals + 5
+            theta = theta + step
+            evals += 5
             cost, gradient, normal = at(theta)
     return theta, evals
 
@@ -207,14 +216,18 @@ BOX = Problem(("a", "b", "c", "d"), np.array([[-1.0, 3.0], [-np.inf, np.inf], [-
 
 
 def test_swarm_follows_clerc_kennedy():
-    problem, rng = replace(decay((1.0, 1.0)), bounds=np.tile([0.5, 4.0], (2, 1))), np.random.default_rng(5)
-    lower, width = 0.5, 3.5
+    problem = replace(decay((1.0, 1.0)), bounds=np.tile([0.5, 4.0], (2, 1)))
+    rng = np.random.default_rng(5)
+    lower = 0.5
+    width = 3.5
     at = lower + width * rng.random((6, 2))
     at[0] = 1.0
     speed = 0.1 * width * (2.0 * rng.random((6, 2)) - 1.0)
-    own, best = at.copy(), problem.objective(at)
+    own = at.copy()
+    best = problem.objective(at)
     for _ in range(12):
-        pull, leader = rng.random((2, 6, 2)), own[np.argmin(best)].copy()
+        pull = rng.random((2, 6, 2))
+        leader = own[np.argmin(best)].copy()
         for p in range(6):
             for j in range(2):
                 pulled = 1.49618 * (pull[0, p, j] * (own[p, j] - at[p, j]) + pull[1, p, j] * (leader[j] - at[p, j]))
@@ -223,7 +236,8 @@ def test_swarm_follows_clerc_kennedy():
                 at[p, j] = min(max(free, 0.5), 4.0)
                 speed[p, j] *= free == at[p, j]
         now = problem.objective(at)
-        own[now < best], best = at[now < best], np.minimum(now, best)
+        own[now < best] = at[now < best]
+        best = np.minimum(now, best)
     cloud: list = []
     recorded = replace(problem, observe=lambda x, t, i: (cloud.append(t), problem.observe(x, t, i))[1])
     flown = ParticleSwarm(n_particles=6, n_iterations=12, seed=5).search(recorded)
@@ -286,9 +300,11 @@ def test_step_error_is_its_propagated_change():
     problem = tank(dt_s=0.4)
     estimate = NonlinearLeastSquares().estimate(problem)
     rate = estimate.belief.mean[0]
-    coarse, fine = (1.0 - 0.4 * rate), (1.0 - 0.2 * rate)
+    coarse = 1.0 - 0.4 * rate
+    fine = 1.0 - 0.2 * rate
     outputs = np.array([1.5 * coarse + 0.08]), np.array([(1.5 * fine + 0.04) * fine + 0.04])
-    change, slope = (outputs[1] - outputs[0]) / 0.2, -0.4 * 1.5 / 0.2
+    change = (outputs[1] - outputs[0]) / 0.2
+    slope = -0.4 * 1.5 / 0.2
     expected = -change / slope * abs(slope)
     np.testing.assert_allclose(estimate.step_error, expected / (estimate.belief.sd * abs(slope)), rtol=1e-5)
     lines = estimate.summary().splitlines()

@@ -10,7 +10,8 @@ from hdt_core.estimation import Belief, Problem, estimators, unknown
 
 EVERY = pytest.mark.parametrize("estimator", estimators().values(), ids=lambda e: e.name)
 TIME_S = np.linspace(0.0, 4.0, 60)
-LEVEL, RATE = 2.0, 0.8
+LEVEL = 2.0
+RATE = 0.8
 
 
 def decay(seed=0, level=LEVEL, rate=RATE, bounds=((0.0, 10.0), (0.0, 5.0))):
@@ -29,7 +30,8 @@ def decay(seed=0, level=LEVEL, rate=RATE, bounds=((0.0, 10.0), (0.0, 5.0))):
 def lag(seed=0, gain=1.5, pole=0.9):
     """A first-order lag behind a swinging input: one state, two parameters."""
     swing = 0.3 + np.sin(np.arange(150) / 8.0)
-    x, position = 0.0, []
+    x = 0.0
+    position = []
     for u in swing:
         position.append(x)
         x = pole * x + (1.0 - pole) * gain * u
@@ -69,7 +71,8 @@ def test_recovers_dynamic_parameters(estimator):
 
 @EVERY
 def test_same_problem_gives_same_answer(estimator):
-    first, second = estimator.estimate(decay()), estimator.estimate(decay())
+    first = estimator.estimate(decay())
+    second = estimator.estimate(decay())
     np.testing.assert_array_equal(first.belief.mean, second.belief.mean)
     np.testing.assert_array_equal(first.belief.cov, second.belief.cov)
     estimate = estimator.estimate(decay())

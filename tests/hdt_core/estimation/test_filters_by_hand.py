@@ -136,7 +136,8 @@ def test_settling_compares_last_belief(monkeypatch, drift):
 
 
 def test_filter_ends_within_bounds():
-    means, covs = np.array([[0.0, 1.0], [2.0, 3.0], [60.0, 0.0]]), np.array([np.eye(2), 9.0 * np.eye(2), np.eye(2)])
+    means = np.array([[0.0, 1.0], [2.0, 3.0], [60.0, 0.0]])
+    covs = np.array([np.eye(2), 9.0 * np.eye(2), np.eye(2)])
     covs[2, 0, 1] = covs[2, 1, 0] = 0.5
     np.testing.assert_allclose(_point(line(), FilterPass(means, covs, [], [])), [50.0, -5.0])
     broken = line(observe=lambda _x, theta, i: np.where(np.asarray(i) == 7, np.nan, theta[0] + theta[1] * X[i])[None])
@@ -152,7 +153,8 @@ def test_filter_ends_within_bounds():
     assert not _stands_still(np.array([0.0, 1.1e-15]), cov)
     assert _stands_still(np.array([0.0, 0.9e-15]), cov)
     assert _stands_still(np.zeros(0), cov)
-    precision, error = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([0.3, -0.7])
+    precision = np.array([[4.0, 1.0], [1.0, 2.0]])
+    error = np.array([0.3, -0.7])
     whole = Correction(np.eye(2), np.eye(2), precision, error, np.eye(2))
     half = Correction(np.eye(1, 2), np.eye(2, 1), precision[1:, 1:], error[1:], np.eye(1))
     problem = line(measured=np.array([[1.0, 1.0], [np.nan, 1.0]]), sigma=np.ones(2))
@@ -195,7 +197,8 @@ def test_compiled_filter_must_reach_optimum(points, passes, mean, n_passes, serv
 def test_sigma_points_linearise_a_square():
     """z0^2 of N(m, P): mean m^2 + P, slope 2 m, left over P either way with these weights."""
     points = MerweScaledSigmaPoints(2, 1.0, 0.0, 0.0, sqrt_method=upper_root)
-    belief, free = Belief(np.array([1.5, -1.0]), np.diag([0.25, 0.09])), np.full(2, np.inf)
+    belief = Belief(np.array([1.5, -1.0]), np.diag([0.25, 0.09]))
+    free = np.full(2, np.inf)
     fit = regression(points, lambda z: z[:1] ** 2, belief, -free, free)
     np.testing.assert_allclose(fit.slope, [[3.0, 0.0]], atol=1e-9)
     np.testing.assert_allclose(fit.offset, [1.5**2 + 0.25 - 4.5], atol=1e-9)
@@ -218,7 +221,9 @@ def test_sigma_points_linearise_a_square():
 
 
 def test_tangent_is_one_sided_at_bound():
-    belief, lower, upper = Belief(np.array([2.0, 0.5]), np.eye(2)), np.array([-9.0, -9.0]), np.array([1.0, 9.0])
+    belief = Belief(np.array([2.0, 0.5]), np.eye(2))
+    lower = np.array([-9.0, -9.0])
+    upper = np.array([1.0, 9.0])
     linear = tangent(lambda z: np.stack([z[0] * z[1], z[0] ** 2]), belief, lower, upper)
     np.testing.assert_allclose(linear.slope, [[0.5, 1.0], [2.0, 0.0]], atol=1e-4)
     np.testing.assert_allclose(linear.slope @ [1.0, 0.5] + linear.offset, [0.5, 1.0], rtol=1e-9)
@@ -252,8 +257,10 @@ def test_summary_lists_all_results():
     problem = line(prior=unknown(np.array([3.0, 0.0])))
     fitted = NonlinearLeastSquares().estimate(problem)
     estimate = replace(fitted, weak=("slope",), better=np.array([2.0, 0.25]), n_checks=17)
-    fit, cov = estimate.fit, np.linalg.inv(estimate.identifiability.information)
-    sd, mean = np.sqrt(np.diag(cov)), estimate.belief.mean
+    fit = estimate.fit
+    cov = np.linalg.inv(estimate.identifiability.information)
+    sd = np.sqrt(np.diag(cov))
+    mean = estimate.belief.mean
     head = [
         "    status               = converged",
         f"    model evaluations    = {estimate.n_evals}, and 17 to question the answer",

@@ -77,7 +77,8 @@ def test_innovations_judge_a_drifting_filter():
             )
         )
 
-    right, rigid = followed(0.05), followed(0.001)
+    right = followed(0.05)
+    rigid = followed(0.001)
     assert (right.status, right.fit.verdict) == ("converged", "adequate")
     assert rigid.fit.verdict == "lack_of_fit"
 
@@ -177,7 +178,8 @@ def test_profile_ends_where_objective_rises():
 
 
 def test_profiles_cover_at_stated_rate():
-    inside, wald = [], []
+    inside = []
+    wald = []
     for seed in range(150):
         problem = saturating(seed)
         at = descend(problem, np.array([4.0, 4.0]))
@@ -190,7 +192,8 @@ def test_profiles_cover_at_stated_rate():
 
 def test_exchanger_profiles_need_few_evaluations():
     """Some 1,500 evaluations of 600 samples."""
-    rng, k = np.random.default_rng(0), 600
+    rng = np.random.default_rng(0)
+    k = 600
     ranges = {"hot_flow_kg_s": (0.5, 1.2), "ram_flow_kg_s": (0.6, 2.4), "hot_in_k": (370, 430), "cold_in_k": (225, 280)}
     inputs = {name: rng.uniform(*limits, k) for name, limits in ranges.items()}
     clean = HEAT_EXCHANGER.predict({}, inputs)

@@ -86,7 +86,10 @@ def test_clark_states_equal_r(method):
     p = [0.004863, 0.00668, 0.000295, 0.001518, 0.000306, 1.43859, -0.517385, -0.336789, -0.163511, -0.072012]
     H = np.array([[1, 1, 0, 0, 0, 0], [0, p[7], p[8], p[9], 0, 1]])
     F = np.eye(6, k=-1)
-    F[0], F[1], F[4], F[5] = [1, 0, 0, 0, 1, 0], [0, p[5], p[6], 0, 0, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]
+    F[0] = [1, 0, 0, 0, 1, 0]
+    F[1] = [0, p[5], p[6], 0, 0, 0]
+    F[4] = [0, 0, 0, 0, 1, 0]
+    F[5] = [0, 0, 0, 0, 0, 1]
     start = Belief(np.zeros(6), F @ (100.0 * np.eye(6)) @ F.T)
     noise = np.array([p[0], p[1], 0.0, 0.0, p[2], p[3]])
     problem = linear_problem(F, H, start, measured, sigma=np.array([1e-9, p[4]]), process_sd=noise)
@@ -110,8 +113,12 @@ def test_linear_filter_equals_filterpy(method):
     problem, F, H = drawn_record(3, [0.1, 0.0, 0.2])
     ours = forward(problem, linearisation(method, 3))
     peer = KalmanFilter(dim_x=3, dim_z=2)
-    peer.x, peer.P, peer.F, peer.H = problem.start.mean[:, None], problem.start.cov, F, H
-    peer.R, peer.Q = np.diag(problem.sigma**2), np.diag(problem.process_sd**2)
+    peer.x = problem.start.mean[:, None]
+    peer.P = problem.start.cov
+    peer.F = F
+    peer.H = H
+    peer.R = np.diag(problem.sigma**2)
+    peer.Q = np.diag(problem.process_sd**2)
     for k, row in enumerate(problem.measured):
         peer.update(row[:, None])
         np.testing.assert_allclose(ours.means[k], peer.x[:, 0], atol=1e-8)
@@ -123,8 +130,10 @@ def test_linear_filter_equals_filterpy(method):
 def test_smoother_equals_joint_solution(method):
     problem, F, H = drawn_record(4, [0.1, 0.05, 0.2])
     ours = smooth(forward(problem, linearisation(method, 3)))
-    k, s = len(problem.measured), 3
-    information, vector = np.zeros((k * s, k * s)), np.zeros(k * s)
+    k = len(problem.measured)
+    s = 3
+    information = np.zeros((k * s, k * s))
+    vector = np.zeros(k * s)
     information[:s, :s] = np.linalg.inv(problem.start.cov)
     vector[:s] = information[:s, :s] @ problem.start.mean
     for i in range(k):
@@ -184,8 +193,10 @@ def test_unscented_filter_equals_filterpy():
         return np.concatenate([problem.transition(z[:2], z[2:], state["i"]), z[2:]])
 
     peer = FilterpyUnscented(4, 1, dt=0.01, hx=lambda z: z[:1], fx=step, points=points)
-    peer.x, peer.P = np.array([0.0, 0.0, 0.6, 1.8]), np.diag([1e-4, 1e-4, 0.05**2, 0.1**2])
-    peer.R, peer.Q = problem.sigma[:, None] ** 2, np.zeros((4, 4))
+    peer.x = np.array([0.0, 0.0, 0.6, 1.8])
+    peer.P = np.diag([1e-4, 1e-4, 0.05**2, 0.1**2])
+    peer.R = problem.sigma[:, None] ** 2
+    peer.Q = np.zeros((4, 4))
     peer.sigmas_f = points.sigma_points(peer.x, peer.P)
     for i, row in enumerate(problem.measured):
         state["i"] = i

@@ -48,11 +48,13 @@ def swing() -> Problem:
 
 
 def test_net_loss_by_hand():
-    time, theta = LAYOUT.time, np.array([1.1, 0.9])
+    time = LAYOUT.time
+    theta = np.array([1.1, 0.9])
     x = 2.0 * (0.7 * np.tanh(1.5 * time + 0.2) - 0.3 * np.tanh(-0.8 * time + 0.4) + 0.1)
     states, by = _states(WEIGHTS, LAYOUT)
     np.testing.assert_allclose(states, x[None])
-    vector, rho = np.concatenate([WEIGHTS, TERMS, theta]), 0.1
+    vector = np.concatenate([WEIGHTS, TERMS, theta])
+    rho = 0.1
     residual, jacobian = _loss(swing(), vector, LAYOUT, rho)
     lacking = 0.25 * (0.3 * (x[:-1] / 2.0) ** 2 - 0.4 * (x[:-1] / 2.0) ** 3)
     later = 0.9 * x[:-1] + 0.1 * np.arange(2) + lacking
@@ -84,7 +86,8 @@ def test_first_weights_reproduce_simulation():
     np.testing.assert_allclose(layout.change, np.abs(guess[1:] - guess[:-1]).mean(axis=0))
     assert layout.exponents.tolist() == [[2, 0], [1, 1], [0, 2], [3, 0], [2, 1], [1, 2], [0, 3]]
     first = _first_weights(layout, guess, np.random.default_rng(0))
-    slope, shift = first[:30], first[30:60]
+    slope = first[:30]
+    shift = first[30:60]
     assert ((np.abs(slope) >= 0.3 * 30) & (np.abs(slope) <= 30)).all()
     assert 5 < (slope > 0).sum() < 25
     np.testing.assert_allclose(-shift / slope, np.linspace(-0.05, 1.05, 30), atol=1e-12)
@@ -97,7 +100,8 @@ def test_first_weights_reproduce_simulation():
 
 
 def lag() -> Problem:
-    x, outputs = 1.0, []
+    x = 1.0
+    outputs = []
     for i in range(40):
         outputs.append(x + 0.01 * (-1.0) ** i)
         x = 0.9 * x + 0.1 * np.sin(i / 4.0)
@@ -141,17 +145,22 @@ START = np.concatenate([_first_weights(LAG, lag().measured, np.random.default_rn
 def train_by_hand(problem, vector, rho, max_steps):
     """Levenberg and Marquardt, damped by a thousandth at first, four times more where a step does not pay and a fifth
     after one that does; over once three steps in a row lower the loss by less than 0.02 each."""
-    mu, still, steps = 1e-3, 0, 0
+    mu = 1e-3
+    still = 0
+    steps = 0
     while steps < max_steps and still < 3:
-        steps, (r, slope) = steps + 1, _loss(problem, vector, LAG, rho)
-        normal, later = slope.T @ slope, np.inf
+        steps += 1
+        r, slope = _loss(problem, vector, LAG, rho)
+        normal = slope.T @ slope
+        later = np.inf
         while not later < r @ r:
             trial = vector + np.linalg.solve(normal + mu * np.diag(np.diag(normal) + 1e-12), -slope.T @ r)
             trial[-2:] = np.clip(trial[-2:], *problem.bounds.T)
             later = np.sum(_loss(problem, trial, LAG, rho)[0] ** 2)
             mu *= 1.0 if later < r @ r else 4.0
         still = still + 1 if r @ r - later < 0.02 else 0
-        vector, mu = trial, 0.2 * mu
+        vector = trial
+        mu = 0.2 * mu
     return vector, steps
 
 
@@ -169,7 +178,8 @@ def test_state_products_by_hand():
     layout = _lay_out(np.array([[2.0, -4.0], [1.0, 4.0], [-2.0, 0.0]]), 5)
     states = np.array([[1.0, 0.0], [2.0, -4.0]])
     values, slopes = _products(states, layout)
-    a, b = states[0] / 2.0, states[1] / 4.0
+    a = states[0] / 2.0
+    b = states[1] / 4.0
     np.testing.assert_allclose(values, [a**2, a * b, b**2, a**3, a**2 * b, a * b**2, b**3])
     np.testing.assert_allclose(slopes[:, 0], np.array([2 * a, b, 0 * a, 3 * a**2, 2 * a * b, b**2, 0 * a]) / 2.0)
     np.testing.assert_allclose(slopes[:, 1], np.array([0 * a, a, 2 * b, 0 * a, a**2, 2 * a * b, 3 * b**2]) / 4.0)
@@ -180,13 +190,16 @@ def test_state_products_by_hand():
 def test_average_equals_exact_mixture():
     """A linear regression: each subset of three terms has its marginal likelihood and posterior by its own formula."""
     rng = np.random.default_rng(3)
-    terms, inputs = rng.normal(size=(25, 3)), rng.normal(size=(25, 2))
+    terms = rng.normal(size=(25, 3))
+    inputs = rng.normal(size=(25, 2))
     y = inputs @ [1.0, -0.5] + 0.4 * terms[:, 1] + 0.3 * rng.normal(size=25)
-    prior_var, noise_var = np.array([1.0, 1.0, 1.0, 9.0, 9.0]), 0.09
+    prior_var = np.array([1.0, 1.0, 1.0, 9.0, 9.0])
+    noise_var = 0.09
     columns = np.column_stack([terms, inputs])
 
     def posterior(use):
-        x, info = columns[:, use] / 0.3, np.diag(1.0 / prior_var[use])
+        x = columns[:, use] / 0.3
+        info = np.diag(1.0 / prior_var[use])
         cov = np.linalg.inv(x.T @ x + info)
         marginal = noise_var * np.eye(25) + columns[:, use] * prior_var[use] @ columns[:, use].T
         evidence = -0.5 * (y @ np.linalg.solve(marginal, y) + np.linalg.slogdet(marginal)[1])
@@ -197,7 +210,8 @@ def test_average_equals_exact_mixture():
     alone = [posterior(np.array([*s, 3, 4])) for s in subsets]
     weight = np.exp([a[2] for a in alone]) * np.array([1.0, *[1 / 3] * 6])
     weight /= weight.sum()
-    means, covs = (np.array([a[0][-2:] for a in alone]), np.array([a[1][-2:, -2:] for a in alone]))
+    means = np.array([a[0][-2:] for a in alone])
+    covs = np.array([a[1][-2:, -2:] for a in alone])
     average = _average(mean, cov, 3)
     np.testing.assert_allclose(average.mean, weight @ means, rtol=1e-9)
     away = means - average.mean
@@ -214,9 +228,12 @@ def test_average_equals_exact_mixture():
 
 def oscillator(seed: int, cubic_n_m3: float) -> Problem:
     """A spring-mass-damper of damping .5 and stiffness 2, its position recorded; the problem knows no cubic force."""
-    dt, n = 0.02, 501
+    dt = 0.02
+    n = 501
     force = 1.5 * np.sin(np.pi * dt * np.arange(n))
-    x, v, position = 0.0, 0.0, np.empty(n)
+    x = 0.0
+    v = 0.0
+    position = np.empty(n)
     for i in range(n):
         position[i] = x
         x, v = x + dt * v, v + dt * (force[i] - 0.5 * v - 2.0 * x - cubic_n_m3 * x**3)
@@ -241,7 +258,8 @@ def oscillator(seed: int, cubic_n_m3: float) -> Problem:
 def test_missing_force_is_named():
     truth = np.array([0.5, 2.0])
     incomplete = oscillator(1, cubic_n_m3=6.0)
-    estimate, plain = PhysicsInformedNet().estimate(incomplete), NonlinearLeastSquares().estimate(incomplete)
+    estimate = PhysicsInformedNet().estimate(incomplete)
+    plain = NonlinearLeastSquares().estimate(incomplete)
     assert "the physics lacks x1^3 in the rate of x2" in estimate.method
     assert estimate.status == "converged"
     assert (np.abs(estimate.belief.mean - truth) < 2.0 * estimate.belief.sd).all()
@@ -259,9 +277,7 @@ def test_missing_force_is_named():
     [(0.0, "converged", True), (0.32, "converged", True), (0.34, "weakly_identifiable", True),
      (0.66, "weakly_identifiable", True), (0.67, "approximate", False), (1.0, "approximate", False)],
 )  # fmt: skip
-def test_open_physics_is_weakly_identifiable(
-    monkeypatch, chance_complete, status, names_a_term
-):
+def test_open_physics_is_weakly_identifiable(monkeypatch, chance_complete, status, names_a_term):
     average = _Average(np.array([1.1, 0.8]), np.diag([0.04, 0.01]), chance_complete, (1,), 1.0 - chance_complete)
     monkeypatch.setattr("hdt_core.estimation.pinn._average", lambda *_: average)
     estimate = PhysicsInformedNet(width=8, polish=False).estimate(lag())

@@ -67,7 +67,8 @@ class Certified:
 
     def problem(self, start: int, bounds: np.ndarray | None = None) -> Problem:
         """From start 1 or 2, in units of the response, unbounded unless told."""
-        model, x = MODELS[self.name], self.x
+        model = MODELS[self.name]
+        x = self.x
         free = np.tile([-np.inf, np.inf], (len(self.values), 1))
         return Problem(
             names=tuple(f"b{i + 1}" for i in range(len(self.values))),

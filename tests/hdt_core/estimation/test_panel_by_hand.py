@@ -10,7 +10,9 @@ from scipy.optimize import lsq_linear
 from hdt_core.estimation.panel import Equation, Panel, PanelLeastSquares, Walk, forward_differences
 from hdt_core.estimation.problem import Belief
 
-P, Q, UNITS = 3, 2, 4
+P = 3
+Q = 2
+UNITS = 4
 TIME = np.array([0, 0, 1, 4, 4, 5, 9, 10, 10, 12, 2, 3, 3, 4, 7, 8, 9, 9, 11, 6])
 UNIT = np.repeat([0, 2, 3], [10, 9, 1])
 TRUTH = np.array([0.3, -0.2, 0.1])
@@ -20,7 +22,8 @@ def equation(rng, sd: float, effect: float) -> Equation:
     """Linear in design and unit, one row unusable, one far off; level and slope go together, as under a controller."""
     level = np.where((UNIT == 2) & (TIME > 6), 0.8, 0.0) + 0.02 * TIME
     by_design = rng.standard_normal((UNIT.size, P)) + 0.3 * level[:, None]
-    by_unit, y = rng.standard_normal((UNIT.size, Q)), level - 0.1 * rng.standard_normal(UNIT.size)
+    by_unit = rng.standard_normal((UNIT.size, Q))
+    y = level - 0.1 * rng.standard_normal(UNIT.size)
     y[7], y[3] = np.nan, y[3] + 1.0
     return Equation(lambda d, u: y + by_design @ (d - TRUTH) + np.einsum("nq,qn->n", by_unit, u), sd, effect)
 
@@ -50,9 +53,32 @@ def columns_of(panel: Panel, equation: Equation, design, units):
     return np.column_stack([*by_design, whole.reshape(len(residual), -1)]), by_unit, residual
 
 
+def walk_covariance(keys: list[tuple[int, int]], loose: dict[int, float], effect: float) -> np.ndarray:
+    """Covariance of the levels of each unit's times, its walk begun anew where it jumped."""
+    walk = np.zeros((len(keys),) * 2)
+    for i, (unit, _) in enumerate(keys):
+        for j, (other, _) in enumerate(keys):
+            steps = range(1, min(i, j) + 1)
+            past = [loose.get(k, 1.0) * (keys[k][1] - keys[k - 1][1]) for k in steps if keys[k - 1][0] == unit]
+            walk[i, j] = (unit == other) * (0.5**2 + 0.04**2 * effect * sum(past))
+    return walk
+
+
+def fit_by_instruments(instruments, slopes, precision, keys) -> np.ndarray:
+    """Predictor of the levels: the first stage knows design and sensor, not whose sensor it is."""
+    weighed = instruments.T @ precision
+    fitted = instruments @ np.linalg.solve(weighed @ instruments, weighed @ slopes)
+    owner = np.array([unit for unit, _ in keys])[:, None] == np.arange(UNITS)
+    own = owner[:, :, None] * fitted[:, None, P:]
+    return np.column_stack([fitted[:, :P], own.reshape(len(keys), -1)])
+
+
 def dense(panel: Panel, n_steps: int):
     """Design, its covariance and the units after so many steps: generalised least squares of all rows at once."""
-    design, units, level, loose = panel.prior.mean, panel.unit_mean, None, {}
+    design = panel.prior.mean
+    units = panel.unit_mean
+    level = None
+    loose = {}
     keys = sorted({*zip(panel.unit, panel.time, strict=True)})
     of_row = np.array([keys.index(k) for k in zip(panel.unit, panel.time, strict=True)])
     for count in range(n_steps):
@@ -63,41 +89,37 @@ def dense(panel: Panel, n_steps: int):
         for e in (panel.levelled, *panel.others):
             a, own, r = columns_of(panel, e, design, units)
             use = np.isfinite(r)
-            a, z, own, r = a[use], panel.instruments, own[use], r[use]
+            a = a[use]
+            own = own[use]
+            r = r[use]
             weight = 1.0 / (((own * panel.noise_sd[use]) ** 2).sum(1) + e.sd**2)
             if level is not None:
                 weight /= 1.0 + (r - (level[of_row[use]] if e is panel.levelled else 0.0)) ** 2 * weight / 9.0
             weight /= e.design_effect
             if e is not panel.levelled:
-                normal, right = normal + a.T @ np.diag(weight) @ a, right - a.T @ (weight * r)
+                normal = normal + a.T @ np.diag(weight) @ a
+                right = right - a.T @ (weight * r)
                 continue
             share = (of_row[use] == np.arange(len(keys))[:, None]) * weight
             total = share.sum(1)
             mean = share / total[:, None]
-            walk = np.zeros((len(keys),) * 2)
-            for i, (unit, _) in enumerate(keys):
-                for j, (other, _) in enumerate(keys):
-                    past = [loose.get(k, 1.0) * (keys[k][1] - keys[k - 1][1]) for k in range(1, min(i, j) + 1)
-                            if keys[k - 1][0] == unit]  # fmt: skip
-                    walk[i, j] = (unit == other) * (0.5**2 + 0.04**2 * e.design_effect * sum(past))
+            walk = walk_covariance(keys, loose, e.design_effect)
             precision = np.linalg.inv(walk + np.diag(1.0 / total + 0.03**2 * e.design_effect))
-            within, predictor = np.diag(weight) - share.T @ mean, mean @ a
-            if z is not None:
-                z = mean @ z[use]
-                # of each unit's derivatives: the first stage knows design and sensor, not whose sensor it is
+            within = np.diag(weight) - share.T @ mean
+            predictor = mean @ a
+            if panel.instruments is not None:
                 short = mean @ np.column_stack([a[:, :P], own])
-                fitted = z @ np.linalg.solve(z.T @ precision @ z, z.T @ precision @ short)
-                owner = np.array([k[0] for k in keys])[:, None] == np.arange(UNITS)
-                own = owner[:, :, None] * fitted[:, None, P:]
-                predictor = np.column_stack([fitted[:, :P], own.reshape(len(keys), -1)])
+                predictor = fit_by_instruments(mean @ panel.instruments[use], short, precision, keys)
             normal = normal + a.T @ within @ a + predictor.T @ precision @ predictor
             right = right - a.T @ within @ r - predictor.T @ precision @ mean @ r
             levels = walk @ precision @ mean @ np.column_stack([a, r])
-        term, slope = panel.prior_terms(design), np.array([2.0, -2.0, 0.0])
+        term = panel.prior_terms(design)
+        slope = np.array([2.0, -2.0, 0.0])
         normal[:P, :P] += np.outer(slope, slope)
         right[:P] -= slope * term
         step = np.linalg.solve(normal, right)
-        design, units = design + step[:P], units + step[P:].reshape(UNITS, Q)
+        design = design + step[:P]
+        units = units + step[P:].reshape(UNITS, Q)
         level = levels @ np.r_[step, 1.0]
         if count >= 3:
             jumps = {k for k in range(1, len(keys)) if abs(level[k] - level[k - 1]) > 4 * 0.04}

@@ -72,7 +72,8 @@ def test_filter_follows_drifting_parameter(estimator):
     estimate = estimator.estimate(problem)
     rms = np.sqrt(np.mean((estimate.path[20:, 0] - level[20:]) ** 2))
     # steady state of the random walk: variance P with P^2 / (P + R) = Q, after the sample P R / (P + R)
-    q, r = 0.05**2, 0.2**2
+    q = 0.05**2
+    r = 0.2**2
     before = 0.5 * (q + np.sqrt(q * q + 4.0 * q * r))
     after = np.sqrt(before * r / (before + r))
     assert rms < 1.4 * after
@@ -81,7 +82,8 @@ def test_filter_follows_drifting_parameter(estimator):
 
 def test_recovers_pole_under_process_noise():
     rng = np.random.default_rng(9)
-    x, measured = 0.0, []
+    x = 0.0
+    measured = []
     for _ in range(150):
         measured.append(x + 0.3 * rng.standard_normal())
         x = 0.8 * x + 0.5 * rng.standard_normal()
@@ -182,7 +184,8 @@ def test_sequence_starts_from_last_converged():
 def test_reweighted_steps_are_hubers_location():
     """Of each group: the weighted mean of ten, whose weights fall beyond 1.345 deviations from the last centre."""
     y = np.array([0.0, 0.1, -0.2, 0.3, 9.0, 5.0, 5.1, 4.8, -3.0, 5.2])
-    group, sd = np.repeat([0, 1], 5), 0.3
+    group = np.repeat([0, 1], 5)
+    sd = 0.3
     batch = Batch(("centre",), np.array([[-99.0, 99.0]]), unknown(np.zeros(1)), y[:, None], np.array([sd]),
                     lambda _x, theta, i: (theta[0] + 0.0 * i)[None], group=group)  # fmt: skip
     weights = lambda residual: 1.0 / np.maximum(1.0, np.abs(residual) / 1.345)  # noqa: E731

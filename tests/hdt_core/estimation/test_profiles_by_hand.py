@@ -124,7 +124,9 @@ def test_refit_follows_fixed_parameter():
 
 def crossing_by_hand(rise, near, far, target):
     """False position on the root of the rise: six at most, never in the last twentieth of the bracket, to 2 %."""
-    low, high, trials = rise(near), rise(far), []
+    low = rise(near)
+    high = rise(far)
+    trials = []
     for _ in range(6):
         share = (target**0.5 - low**0.5) / (high**0.5 - low**0.5) if high < np.inf else 0.5
         trials.append(near + (far - near) * min(max(share, 0.05), 0.95))
@@ -165,7 +167,8 @@ def test_crossing_uses_false_position(monkeypatch, rise, sign):
 
 def test_checks_limit_their_steps(monkeypatch):
     most: list = []
-    problem, at = line(), descend(line(), np.zeros(2))
+    problem = line()
+    at = descend(line(), np.zeros(2))
     for name, answer in (("descend", at), ("descend_each", [at])):
         monkeypatch.setattr(
             optimum_checks, name, lambda p, start, steps, *spent, a=answer: (most.append((steps, *spent)), a)[1]
@@ -263,7 +266,8 @@ def test_estimate_wide_in_range_is_weak(half, weak):
     problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None])
     estimate = NonlinearLeastSquares().estimate(problem)
     assert estimate.n_checks == 4  # either end of two axes
-    mean, sd = estimate.belief.mean, estimate.belief.sd
+    mean = estimate.belief.mean
+    sd = estimate.belief.sd
     bounds = np.array([[-50.0, 50.0], [mean[1] - half * sd[1], mean[1] + half * sd[1]]])
     assert NonlinearLeastSquares().estimate(replace(problem, bounds=bounds)).weak == weak
 
@@ -274,7 +278,8 @@ def test_estimate_wide_in_range_is_weak(half, weak):
 def test_many_values_need_no_profile(samples, rho, has_profile):
     """A hundred values a parameter and a determinant 1 - rho^2 of a half: the bend is then not looked for."""
     wave = np.sqrt(2.0 / samples) * np.cos(2.0 * np.pi * np.outer([1.0, 2.0, 3.0], np.arange(samples)) / samples)
-    u, v = wave[0], rho * wave[0] + np.sqrt(1.0 - rho**2) * wave[1]
+    u = wave[0]
+    v = rho * wave[0] + np.sqrt(1.0 - rho**2) * wave[1]
     problem = Problem(("a", "b"), np.tile([-50.0, 50.0], (2, 1)), unknown(np.zeros(2)),
                       np.sqrt(samples) * wave[2][:, None], np.ones(1),
                       lambda _x, t, i: (u[i] * (t[0] + 0.5 * t[0] ** 3) + v[i] * t[1])[None])  # fmt: skip

@@ -11,7 +11,8 @@ from hdt_core.estimation.declared import declared_problem
 from hdt_core.physics.lumped_exchanger import rates_k_s
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 
-DT_S, N_SAMPLES = 0.1, 120
+DT_S = 0.1
+N_SAMPLES = 120
 FORMS = [False, pytest.param(True, marks=pytest.mark.skipif(find_spec("numba") is None, reason="needs numba"))]
 EACH_FORM = pytest.mark.parametrize("compiled", FORMS, ids=["numpy", "numba"])
 
@@ -96,7 +97,8 @@ def test_samples_between_steps_are_exact(compiled):
 
 @EACH_FORM
 def test_inputs_hold_between_changes(compiled):
-    problem, theta = exchanger(compiled=compiled), np.array([1500.0, 3000.0])
+    problem = exchanger(compiled=compiled)
+    theta = np.array([1500.0, 3000.0])
 
     states = problem.trajectory(theta[:, None], N_SAMPLES)
 
@@ -105,7 +107,9 @@ def test_inputs_hold_between_changes(compiled):
 
 @EACH_FORM
 def test_batched_transition_equals_single(compiled):
-    problem, theta, x = exchanger(compiled=compiled), np.array([1500.0, 3000.0]), np.array([350.0, 280.0])
+    problem = exchanger(compiled=compiled)
+    theta = np.array([1500.0, 3000.0])
+    x = np.array([350.0, 280.0])
     samples = np.array([0, 7, 40])
 
     together = problem.transition(x[:, None], theta[:, None], samples)
@@ -157,7 +161,8 @@ def test_uncompiled_rates_are_integrated(compiled):
 
 
 def test_linearised_equals_separate_derivatives():
-    problem, theta = oscillator(), np.array([1.4])
+    problem = oscillator()
+    theta = np.array([1.4])
 
     residual, slope = problem.linearised(theta)
 

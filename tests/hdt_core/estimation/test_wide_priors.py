@@ -8,7 +8,8 @@ import pytest
 from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, UnscentedKalman
 
 TIME_S = np.linspace(0.0, 6.0, 80)
-LOW, HIGH = 1.0, 1e6
+LOW = 1.0
+HIGH = 1e6
 
 
 def saturating() -> Problem:

@@ -66,7 +66,10 @@ def test_group_inverts_flow(group, inlet_k, speed):
 
 
 def test_flow_equals_equations_2_to_4():
-    area, diameter, beta, rpm = 0.0100, 0.11, np.radians(35.0), 30500.0
+    area = 0.0100
+    diameter = 0.11
+    beta = np.radians(35.0)
+    rpm = 30500.0
     velocity = np.pi * diameter * rpm / 60.0 * np.tan(beta)
     expected = 37.6e3 / (287.05287 * 251.0) * area * velocity
     flow = inlet_flow_kg_s(area * diameter * np.tan(beta), 37.6e3, 251.0, rpm * RPM)
@@ -182,9 +185,12 @@ def test_tied_coefficient_matches_errata(row):
 @pytest.mark.parametrize("row", rows("range of VDA"), ids=lambda r: f"to {r[0]:.0f}")
 def test_equation_6_matches_errata(row):
     """The range is printed 0-N, so its number reads as -N."""
-    top, diameter, r_squared = abs(row[0]), row[1], row[2]
+    top = abs(row[0])
+    diameter = row[1]
+    r_squared = row[2]
     assert expected_diameter_m(top, 0.1731, -2.9304e-5) == pytest.approx(diameter, abs=5e-5)
-    explained, left = (2.9304e-5 * top) ** 2 / 12.0, 0.0055**2 * np.pi / 2.0
+    explained = (2.9304e-5 * top) ** 2 / 12.0
+    left = 0.0055**2 * np.pi / 2.0
     assert explained / (explained + left) == pytest.approx(r_squared, abs=5e-3)
 
 
@@ -195,7 +201,9 @@ RESIMULATED = re.findall(
 
 def positions_m(damping, stiffness):
     """Section 3.2.2 by the book: Euler's rule from rest, 1,001 samples at 0.01 s, 1 kg, sin(pi t) N."""
-    x, v, positions = 0.0, 0.0, []
+    x = 0.0
+    v = 0.0
+    positions = []
     for k in range(1001):
         positions.append(x)
         x, v = x + 0.01 * v, v + 0.01 * (np.sin(np.pi * 0.01 * k) - damping * v - stiffness * x)

@@ -40,7 +40,8 @@ def by_incomplete_gamma(this, other):
 @pytest.mark.parametrize("ratio", [0.0, 1e-3, 0.3, 0.9, 0.99, 0.999, 1.0])
 @pytest.mark.parametrize("ntu", [1e-6, 0.3, 10.0, 24.9, 25.1, 60.0, 350.0, 1e3, 3e4, 1e6])
 def test_series_holds_for_any_ntu(ntu, ratio):
-    this, other = ntu, ntu * ratio
+    this = ntu
+    other = ntu * ratio
     exact = by_incomplete_gamma(this, other) if ratio else -np.expm1(-ntu)
     assert crossflow_effectiveness(this, other) == pytest.approx(exact, rel=1e-14)
     if ratio:
@@ -63,8 +64,10 @@ def test_balanced_streams_have_a_closed_form():
 def test_inverse_keeps_available_digits():
     """To 1e-12 wherever rounding the effectiveness leaves a twentieth of that; elsewhere to what rounding leaves."""
     rng = np.random.default_rng(17)
-    ntu, ratio = 10.0 ** rng.uniform(-6.0, 6.0, 4000), rng.uniform(0.0, 1.0, 4000)
-    ratio[:800], ratio[800:1000] = 1.0, 0.0
+    ntu = 10.0 ** rng.uniform(-6.0, 6.0, 4000)
+    ratio = rng.uniform(0.0, 1.0, 4000)
+    ratio[:800] = 1.0
+    ratio[800:1000] = 0.0
     ratio = np.where(rng.random(4000) < 0.3, 1.0 / np.maximum(ratio, 1e-2), ratio)
     eps, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
     left = 2.0**-53 * eps / np.maximum(slope, 1e-300)
@@ -83,9 +86,11 @@ def test_inverse_keeps_available_digits():
 def test_inverse_takes_few_evaluations(monkeypatch, fewest, most, looks):
     """It is the dearest step of calibration; started from the counterflow exchanger's units it took five and more."""
     rng = np.random.default_rng(3)
-    ntu, ratio = np.exp(rng.uniform(np.log(fewest), np.log(most), 3000)), rng.uniform(0.2, 1.5, 3000)
+    ntu = np.exp(rng.uniform(np.log(fewest), np.log(most), 3000))
+    ratio = rng.uniform(0.2, 1.5, 3000)
     ratio = np.where(ntu < 20.0, ratio, 1.0)
-    eps, calls = crossflow_effectiveness(ntu, ntu * ratio), []
+    eps = crossflow_effectiveness(ntu, ntu * ratio)
+    calls = []
     evaluate = effectiveness.crossflow_effectiveness_and_slope
     monkeypatch.setattr(effectiveness, "crossflow_effectiveness_and_slope", lambda *a: calls.append(1) or evaluate(*a))
     np.testing.assert_allclose(crossflow_ntu(eps, ratio), ntu, rtol=1e-9)
@@ -144,7 +149,8 @@ def test_bulk_inverse_recovers_ntu():
     assert np.isnan(crossflow_ntu(np.array([np.nan, 0.5]), np.array([0.7, np.nan]))).all()
     # Iterations end for each value by itself, so a flight's numbers are the same whatever shares its run.
     rng = np.random.default_rng(7)
-    ntu, ratio = rng.uniform(0.05, 20.0, 2_000), rng.uniform(0.1, 1.2, 2_000)
+    ntu = rng.uniform(0.05, 20.0, 2_000)
+    ratio = rng.uniform(0.1, 1.2, 2_000)
     value, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
     whole = (value, slope, crossflow_ntu(value, ratio))
     for part in (slice(0, 3), slice(3, 700), slice(700, None)):

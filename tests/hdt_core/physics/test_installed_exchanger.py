@@ -52,7 +52,9 @@ def test_series_passes_less_than_either(first, second):
 
 
 def test_throat_passes_density_times_velocity():
-    total_pa, exit_pa, total_k = 60e3, 45e3, 270.0
+    total_pa = 60e3
+    exit_pa = 45e3
+    total_k = 270.0
     ratio = exit_pa / total_pa
     throat_k = total_k * ratio ** (0.4 / 1.4)
     velocity = np.sqrt(7.0 * R_J_KG_K * (total_k - throat_k))

@@ -51,7 +51,8 @@ def test_stiff_oscillator_is_solved():
     positions = van_der_pol(mu=1000.0).simulate({}, {}, 100.0, n_samples=6)["seen"]
     np.testing.assert_allclose(positions, truth(1000.0, 6, 100.0), atol=1e-5)
     start = np.array([[1.0, 1.0, np.nan]])
-    grow, fall = np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 0.0, 1.0]])
+    grow = np.array([[0.0, 1.0, 0.0]])
+    fall = np.array([[1.0, 0.0, 1.0]])
     later = advance_states(lambda x: grow * x**2 - x * fall, start, 2.0, "adaptive")
     assert later[0, 0] == pytest.approx(np.exp(-2.0), rel=1e-7)  # x' = -x
     assert np.isnan(later[0, 1:]).all()  # x' = x^2 ends at 1 s; no start
@@ -82,7 +83,8 @@ def test_solvers_have_nominal_order():
 def walked(rates, x, dt_s):
     """Dormand and Prince's steps, all columns alike: an error of 1e-8 of each state's size, of a thousandth of its
     largest column's at the least; a step changes by the fifth root of error over that, to a tenth or five times."""
-    done, step = 0.0, dt_s
+    done = 0.0
+    step = dt_s
     while done < dt_s * (1.0 - 1e-12):
         stages = [rates(x)]
         for row in RK45.A[1:]:
@@ -92,7 +94,8 @@ def walked(rates, x, dt_s):
         size = np.maximum(np.abs(x), np.abs(later))
         worst = (error / (1e-8 * np.maximum(size, 1e-3 * size.max(axis=1, keepdims=True)) + 1e-14)).max()
         if worst <= 1.0:
-            x, done = later, done + step
+            x = later
+            done += step
         step = min(step * np.clip(0.9 * max(worst, 1e-9) ** -0.2, 0.1, 5.0), dt_s - done)
     return x
 

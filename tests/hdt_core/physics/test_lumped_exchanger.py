@@ -48,7 +48,8 @@ def test_rates_follow_equations_7_8():
 
 def test_declaration_is_as_published():
     model = lumped_exchanger()
-    coefficient, mass = (2500.0, (1.0, 1e6), "design", 0.0), (8.0, (0.01, 50.0), "design", 0.0)
+    coefficient = (2500.0, (1.0, 1e6), "design", 0.0)
+    mass = (8.0, (0.01, 50.0), "design", 0.0)
     assert [(p.nominal, p.bounds, p.role, p.drift) for p in model.params] == [
         coefficient, coefficient, (0.0, (-0.5, 0.95), "health", 0.005), mass, mass
     ]  # fmt: skip
@@ -106,7 +107,8 @@ def test_sequential_forms_keep_their_order(form, order):
 
 @pytest.mark.parametrize("form", ["quasi_steady", "exact", "euler", "tustin"])
 def test_loss_lowers_both_coefficients(form):
-    model, hold = lumped_exchanger(form), AT | {"ram_flow_kg_s": np.full(5, 1.6)}
+    model = lumped_exchanger(form)
+    hold = AT | {"ram_flow_kg_s": np.full(5, 1.6)}
     worn = model.simulate({"hx_h_loss": 0.2}, hold, 1.0)["hot_out_k"]
     smaller = model.simulate({"hx_h_hot_w_k": 2000.0, "hx_h_cold_w_k": 2000.0}, hold, 1.0)["hot_out_k"]
     np.testing.assert_allclose(worn, smaller, rtol=1e-14)
@@ -116,7 +118,8 @@ def test_loss_lowers_both_coefficients(form):
 @pytest.mark.parametrize("form", ["exact", "tustin"])
 def test_recovers_both_coefficients(form):
     """A minute at 1 Hz with a step of the door, simulated without noise."""
-    seconds, model = np.arange(60.0), lumped_exchanger(form)
+    seconds = np.arange(60.0)
+    model = lumped_exchanger(form)
     inputs = AT | {"ram_flow_kg_s": 1.6 + 0.3 * (seconds > 30.0), "hot_in_k": 390.0 + 3.0 * np.sin(seconds / 9.0)}
     inputs = {name: np.broadcast_to(value, 60) for name, value in inputs.items()}
     truth = {"hx_h_hot_w_k": 2300.0, "hx_h_cold_w_k": 1900.0}

@@ -58,7 +58,8 @@ def test_estimators_allow_for_declared_errors(method):
     """A probe that reads 1 K high would make a gain of 2 one of 2.1, sixty times the samples' own deviation."""
     _, estimate = calibrate_with_sensors(DUCT, record(bias_k=1.0), estimators()[method])
 
-    gain, sd = estimate.belief.mean[0], estimate.belief.sd[0]
+    gain = estimate.belief.mean[0]
+    sd = estimate.belief.sd[0]
     assert abs(gain - 2.0) < 2.0 * sd < 0.3
 
 

@@ -25,10 +25,14 @@ def _flights(tail: str, pack: int, flights: int) -> pl.DataFrame:
 def fleet() -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
     """Features, messages and maintenance of eight tails, two packs each; a failed unit is followed by a new one."""
     lives = iter(_lives())
-    features, messages, maintenance = [], [], []
+    features = []
+    messages = []
+    maintenance = []
     for number in range(8):
         for pack in (1, 2):
-            tail, total, value = f"LX-T{number:02d}", 320, np.empty((0, len(COLUMNS)))
+            tail = f"LX-T{number:02d}"
+            total = 320
+            value = np.empty((0, len(COLUMNS)))
             flights = _flights(tail, pack, total)
             while len(value) < total:
                 track, message = next(life for life in lives if not len(value) or life[0][0, 0] < NEW_LOSS)

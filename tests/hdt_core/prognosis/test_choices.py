@@ -76,7 +76,8 @@ def test_deferring_equals_published_prognosis(fleet):
     ("n_washes", "loss", "rests_on"), [(4, 0.2, "prior"), (5, 0.2, "5 washes"), (9, 0.34, "prior")]
 )
 def test_few_like_washes_keep_prior(n_washes, loss, rests_on):
-    washes, losses = washed(n_washes), np.array([loss])
+    washes = washed(n_washes)
+    losses = np.array([loss])
 
     mean, sd = washes.share_left_of(losses, UNSEEN)
 
@@ -93,7 +94,8 @@ def test_prior_counts_as_one_wash():
 
 @pytest.mark.parametrize(("found", "share_left"), [("CLOGGED", 0.1), ("FOULED", 0.6), ("", 0.35)])
 def test_wash_effect_follows_finding(found, share_left):
-    clogged, fouled = washed(500, share_left=0.1, found="CLOGGED"), washed(500, share_left=0.6, found="FOULED")
+    clogged = washed(500, share_left=0.1, found="CLOGGED")
+    fouled = washed(500, share_left=0.6, found="FOULED")
     both = Washes(*(np.concatenate([getattr(w, name) for w in (clogged, fouled)]) for name in VALUES))
 
     mean, _ = both.share_left_of(np.array([0.2]), np.array([found]))

@@ -116,7 +116,8 @@ def test_limit_is_robust_normal_posterior():
 
 def test_first_passage_equals_monte_carlo():
     """Plain Monte Carlo: loss, rate and limit normal; a unit known to fly has its limit above what it has lost."""
-    rng, n = np.random.default_rng(1), 100_000
+    rng = np.random.default_rng(1)
+    n = 100_000
     loss, rate, limit = (m + s * rng.standard_normal(n) for m, s in ((0.1, 0.02), (1e-3, 4e-4), (0.25, 0.06)))
     passed = loss + rate * EDGES[:, None] > limit
     args = [np.array([v]) for v in (0.1, 0.02, 1e-3, 4e-4)]
@@ -136,7 +137,8 @@ def terms(end: np.ndarray, reserve: float, odds: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("reserve", "counts_as"), [(0.35, 0.35), (1.0, 0.6), (-1.0, -0.2), (np.nan, 0.2)])
 def test_correction_shifts_log_odds(reserve, counts_as):
-    hazard, weights = np.linspace(0.02, 0.5, SPANS)[None, :], np.array([0.3, -0.2, 0.5, 0.4])
+    hazard = np.linspace(0.02, 0.5, SPANS)[None, :]
+    weights = np.array([0.3, -0.2, 0.5, 0.4])
     odds = np.log(hazard / (1.0 - hazard))
     shifted = odds + terms(EDGES[None, 1:], counts_as, odds) @ weights
     corrected = HazardCorrection(tuple(weights))(hazard, np.array([reserve]))
@@ -146,13 +148,21 @@ def test_correction_shifts_log_odds(reserve, counts_as):
 def test_correction_maximises_posterior():
     """Rows of one life share its weight; the prior says no correction, within 0.5, 0.3, 0.5 and 0.3."""
     rng = np.random.default_rng(3)
-    n, life = 60, np.repeat(np.arange(15), 4)
-    left, failed = rng.exponential(40.0, n), rng.random(n) < 0.7
-    hazard, reserve = rng.uniform(0.02, 0.3, (n, SPANS)), rng.uniform(-0.1, 0.5, n)
-    rows, hits, weights, x, offset = [], [], [], [], []
+    n = 60
+    life = np.repeat(np.arange(15), 4)
+    left = rng.exponential(40.0, n)
+    failed = rng.random(n) < 0.7
+    hazard = rng.uniform(0.02, 0.3, (n, SPANS))
+    reserve = rng.uniform(-0.1, 0.5, n)
+    rows = []
+    hits = []
+    weights = []
+    x = []
+    offset = []
     for k in range(n):
         for j in range(SPANS):
-            start, end = EDGES[j], EDGES[j + 1]
+            start = EDGES[j]
+            end = EDGES[j + 1]
             if left[k] <= start:
                 break
             hit = failed[k] and left[k] <= end
@@ -177,7 +187,8 @@ def test_levels_equal_kaplan_meier():
     by = np.broadcast_to(np.r_[0.0, np.cumsum(np.diff(EDGES)) / 300.0], (11, SPANS + 1))
     left = np.r_[30.0 * np.arange(1, 11), 155.0]
     failed = np.arange(11) < 10
-    alive, steps = 1.0, []
+    alive = 1.0
+    steps = []
     for at in np.sort(left):
         risk = (left >= at).sum()
         alive *= 1.0 - (1.0 / risk if failed[left == at].any() else 0.0)
@@ -233,7 +244,8 @@ def test_censored_lives_are_weighed():
     assert bounds.high == half[int(np.ceil(0.95 * 201 - 1e-9)) - 1]
     # half of them leave at 150: whoever ends later stands for about two
     cut = np.where(np.arange(400) % 4 < 2, np.minimum(lives, 150.5), lives)
-    weighed, others = life_bounds(cut, cut == lives), cut[::2]
+    weighed = life_bounds(cut, cut == lives)
+    others = cut[::2]
     stay = 1.0 - (others == 150.5).sum() / (others >= 150.5).sum()
     sample = np.sort(cut[1::2][cut[1::2] == lives[1::2]])
     mass = np.cumsum(np.where(sample > 150.5, 1.0 / stay, 1.0)) / 201.0
@@ -246,7 +258,8 @@ def test_censored_lives_are_weighed():
 def test_hazard_is_learned_under_censoring():
     rng = np.random.default_rng(1)
     rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 8000))
-    death, cut = rng.exponential(1.0 / rate), rng.uniform(0.0, 200.0, 8000)
+    death = rng.exponential(1.0 / rate)
+    cut = rng.uniform(0.0, 200.0, 8000)
     model = fit_hazard(np.log(rate)[:, None], np.minimum(death, cut), death <= cut, seed=0)
     for true_rate in (0.005, 0.01, 0.02):
         near = np.log(true_rate) + np.linspace(-0.2, 0.2, 200)[:, None]
@@ -270,7 +283,8 @@ def test_interval_score_is_proper():
     assert brier_skill(y, y) == 1.0
     assert auc([1, 1, 0, 0], [0.9, 0.4, 0.5, 0.1]) == 0.75
     assert auc([1, 0], [0.5, 0.5]) == 0.5
-    truth, forecast = np.array([100.0, 50.0, 10.0, 1.0]), np.array([150.0, 55.0, 11.0, 1.0])
+    truth = np.array([100.0, 50.0, 10.0, 1.0])
+    forecast = np.array([150.0, 55.0, 11.0, 1.0])
     assert alpha_lambda(truth, forecast) == 0.75
     rng = np.random.default_rng(1)
     p = rng.random(50000)

@@ -91,7 +91,9 @@ def test_roughness_spans_thirty_flights():
 def test_averages_span_recent_flights():
     rng = np.random.default_rng(2)
     hot, half, door = (rng.uniform(0.0, 6.0, 60) for _ in range(3))
-    hot[[5, 55]], hot[30], hot[56] = np.nan, 9.0, 3.0
+    hot[[5, 55]] = np.nan
+    hot[30] = 9.0
+    hot[56] = 3.0
     values = record(np.zeros(60), overheat_k=hot, overheat_half_k=half, full_open=door)
     assert values["overheat_10"][0] == pytest.approx(hot[0])
     assert values["overheat_10"][59] == pytest.approx(np.nanmean(hot[50:]))
@@ -175,7 +177,8 @@ def features(level: np.ndarray, demand: np.ndarray | None = None) -> dict[str, n
 @pytest.mark.parametrize("cut", [1, 6, 50, 150])
 def test_features_ignore_later_flights(cut):
     level = track()
-    whole, early = features(level), features(level[:, :cut])
+    whole = features(level)
+    early = features(level[:, :cut])
     for name in FEATURES:
         np.testing.assert_allclose(whole[name][:, :cut], early[name], atol=1e-9, err_msg=name)
 

@@ -64,7 +64,8 @@ def test_posterior_equals_grid_loops(excess_k, of, seed):
     operator = np.array(["AAA"] * 4 + ["BBB"] * 3 + ["MUT"] * 2)
     message[[1, 5]] += 3
     message[2] += 4
-    overheat[0.2][3, 0], message[3] = 14.0, 0  # hot at once
+    overheat[0.2][3, 0] = 14.0
+    message[3] = 0  # hot at once
     message[7:] = -1
     message[6] = -1
     rules = learn_rules(overheat, message, operator)
@@ -93,7 +94,8 @@ def test_prior_stands_without_messages():
     # What is exact counts half; near, missed and spurious are rarer, in this order of likelihood.
     prior = recalibrate.PERSISTENCE_PRIOR
     assert (prior[1], prior[2], prior[3], sum(prior.values())) == (0.25, 0.25, 0.5, 1.0)
-    onsets, message = np.array([[10], [13], [14], [-1], [-1], [5]]), np.array([[10], [10], [10], [10], [-1], [-1]])
+    onsets = np.array([[10], [13], [14], [-1], [-1], [5]])
+    message = np.array([[10], [10], [10], [10], [-1], [-1]])
     np.testing.assert_allclose(np.exp(recalibrate._fit(onsets, message))[:, 0], [0.5, 0.12, 0.03, 0.03, 0.92, 0.08])
     assert len(recalibrate.RULES) == 2 * 3 * 15
 
@@ -113,14 +115,16 @@ def test_no_failures_leave_no_correction():
     none = np.empty(0)
     levels = learn_levels(event_by(hazard)[:0], none, np.empty(0, bool), np.empty(0, int), (0.04, 0.5, 0.96))
     assert levels == (0.04, 0.5, 0.96)
-    hazard, reserve = np.linspace(0.01, 0.4, 3 * SPANS).reshape(3, SPANS), np.array([-0.1, 0.1, np.nan])
+    hazard = np.linspace(0.01, 0.4, 3 * SPANS).reshape(3, SPANS)
+    reserve = np.array([-0.1, 0.1, np.nan])
     corrected = HazardCorrection((0.1, -0.2, 0.3))(hazard, reserve)
     np.testing.assert_array_equal(corrected, HazardCorrection((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
 
 
 def test_levels_are_nominal_under_censoring():
     rng = np.random.default_rng(3)
-    death, cut = rng.exponential(120.0, 4000), rng.uniform(0.0, 250.0, 4000)
+    death = rng.exponential(120.0, 4000)
+    cut = rng.uniform(0.0, 250.0, 4000)
     by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (4000, SPANS + 1))
     low, middle, high = learn_levels(by, np.minimum(death, cut), death <= cut, np.arange(4000), prior_lives=0.0)
     assert low == pytest.approx(0.05, abs=0.01)
@@ -172,10 +176,12 @@ def test_flattened_base_is_corrected(flattened, slope):
 def test_limit_moves_with_messages():
     prior = CC.limit
     assert learn_limit(np.empty(0), prior) == prior
-    few, many = learn_limit(np.full(1, 0.15), prior), learn_limit(np.full(30, 0.15), prior)
+    few = learn_limit(np.full(1, 0.15), prior)
+    many = learn_limit(np.full(30, 0.15), prior)
     assert 0.15 < few.mean < prior.mean
     assert many.mean == pytest.approx(0.15, abs=0.01)
     assert many.sd < few.sd < prior.sd
     levels = np.array([0.25, 0.26, 0.24, 0.25])
-    clean, clogged = learn_limit(levels, CC.limit), learn_limit(np.append(levels, 0.65), CC.limit)
+    clean = learn_limit(levels, CC.limit)
+    clogged = learn_limit(np.append(levels, 0.65), CC.limit)
     assert abs(clogged.mean - clean.mean) < 0.03

@@ -54,7 +54,8 @@ def fitted(fleet, base):
 @pytest.fixture(scope="module")
 def held_out(fleet, base):
     lives = episodes(*fleet)
-    track, folds = tracks(fleet[0], lives, "HX"), split_tails(fleet[0]["tail"].unique().to_list())
+    track = tracks(fleet[0], lives, "HX")
+    folds = split_tails(fleet[0]["tail"].unique().to_list())
     model = assemble(base, folds, {"HX": fit_component(base, track, "HX", folds)})
     return join_outcomes(predict_by_fold(model, "HX", track, np.ones(len(track.at), bool)), fleet[0], lives)
 
@@ -189,9 +190,7 @@ def held_halves(fleet, base):
         ((0.49, 0.5, 0.51), (0.0, 0.0, 0.0, 0.0), (0.05, 0.5, 0.95), (False, True)),  # an interval for none
     ],
 )
-def test_only_helpful_lessons_are_learned(
-    base, held_halves, base_levels, weights, levels, expected
-):
+def test_only_helpful_lessons_are_learned(base, held_halves, base_levels, weights, levels, expected):
     track, tail_groups = held_halves
     outside = [~track.keys["tail"].is_in(names).to_numpy() for names in tail_groups]
     fit = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), levels, failures=5, lives=9)

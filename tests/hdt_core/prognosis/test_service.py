@@ -36,7 +36,8 @@ def same(one: pl.DataFrame, other: pl.DataFrame) -> None:
 
 def test_monthly_updates_equal_one_update(fleet, base, at_once):
     """Each row as it stood at the end of its month, and none rewritten since."""
-    whole, last = FleetRecord(*fleet), None
+    whole = FleetRecord(*fleet)
+    last = None
     months = whole.months()
     assert len(months) > 3
     for month, end in zip(months, [*months[1:], None], strict=True):
@@ -56,7 +57,8 @@ def test_monthly_updates_equal_one_update(fleet, base, at_once):
 
 def test_later_records_change_no_prognosis(fleet, at_once, base):
     """Whatever becomes of the units after February: none fails, or all are worn."""
-    whole, end = FleetRecord(*fleet), datetime(2024, 3, 1, tzinfo=UTC)
+    whole = FleetRecord(*fleet)
+    end = datetime(2024, 3, 1, tzinfo=UTC)
     later = pl.col("departed_at") >= end
     quiet = replace(whole, messages=whole.messages.filter(pl.col("message_time") < end))
     worn = whole.features.with_columns(pl.when(later).then(0.4).otherwise("hx_fouling").alias("hx_fouling"))
@@ -77,7 +79,8 @@ def test_first_month_uses_base_alone(at_once, base):
 @pytest.mark.parametrize("component", ["HX", "CC"])
 def test_month_learns_from_truncated_record(fleet, component):
     """Rows are cut once from the whole record: they equal those of a record that ends there, and so do lives."""
-    whole, moment = FleetRecord(*fleet), datetime(2024, 3, 1, tzinfo=UTC)
+    whole = FleetRecord(*fleet)
+    moment = datetime(2024, 3, 1, tzinfo=UTC)
     past = whole.as_of(moment)
     alone = tracks(past.features, past.lives(), component)
     cut = tracks_as_of(tracks(whole.features, whole.lives(), component), moment, past.lives(), component)
@@ -86,7 +89,8 @@ def test_month_learns_from_truncated_record(fleet, component):
     for name in ("remaining", "failed", "mute"):
         np.testing.assert_array_equal(getattr(cut, name)[flown], getattr(alone, name))
     rule = PRIOR_RULES[component]
-    one, other = fleet_rows(alone, rule), fleet_rows(cut, rule, flown)
+    one = fleet_rows(alone, rule)
+    other = fleet_rows(cut, rule, flown)
     np.testing.assert_allclose(one.features, other.features, atol=1e-12)
     assert learn_rule(cut, component, ~cut.mute) == learn_rule(alone, component, ~alone.mute)
     assert len(np.unique(one.life)) == len(np.unique(other.life))
@@ -94,7 +98,8 @@ def test_month_learns_from_truncated_record(fleet, component):
 
 def test_fold_learns_from_other_tails(fleet, base, at_once):
     """Without the removals of one tail its own prognoses are the same."""
-    whole, month = FleetRecord(*fleet), date(2024, 4, 1)
+    whole = FleetRecord(*fleet)
+    month = date(2024, 4, 1)
     tail = whole.as_of(start_of(month)).lives().filter("failed")["tail"][0]
     own_fold = next(fold for fold in at_once.months[month].model.folds if tail in fold.tails)
     assert (

@@ -77,7 +77,8 @@ def test_added_flights_are_not_learned():
     np.testing.assert_allclose(_trailing_median(per_k), [want, [LN_RATIO_PER_K] * 5])
     assert interval_score([5.0], [6.0], [8.0], 0.5).tolist() == [2.0 + 4.0]
     t = np.arange(11.0)
-    low, high = 1.0, 9.0
+    low = 1.0
+    high = 9.0
     missed = np.maximum(low - t, 0) + np.maximum(t - high, 0)
     assert constant_interval_score(t, 0.2) == pytest.approx(np.mean((high - low) + 10 * missed))
 
@@ -98,7 +99,8 @@ def record(*frames: pl.DataFrame, messages: list[tuple] = [], entries: list[tupl
     return FleetRecord(pl.concat(frames), message_rows, log)
 
 
-FEBRUARY, MARCH = date(2024, 2, 1), date(2024, 3, 1)
+FEBRUARY = date(2024, 2, 1)
+MARCH = date(2024, 3, 1)
 
 
 def test_record_is_cut_at_month():

@@ -20,7 +20,8 @@ from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 from hdt_core.prognosis.unit_lives import episodes, flight_rows, life_table, with_lives
 
 START = datetime(2024, 1, 1, 6, tzinfo=UTC)
-HX_CODE, CC_CODE = "21-52-HXTEMP", "21-51-CCFLOW"
+HX_CODE = "21-52-HXTEMP"
+CC_CODE = "21-51-CCFLOW"
 
 
 def flown(n: int, tail: str = "T-1", **columns: object) -> pl.DataFrame:
@@ -79,7 +80,8 @@ def test_sound_inspection_revokes_failure(days, failed):
 
 
 def test_life_table_names_ending():
-    features, entries = flown(100), log(CHANGED)
+    features = flown(100)
+    entries = log(CHANGED)
     lives = life_table(features, episodes(features, faults_on((50, HX_CODE)), entries)).filter(component="HX")
     assert lives.select("ended_by", "censored", "n_flights", "first_flight_id", "end_flight_id").rows() == [
         ("message", False, 50, "T-1_000", "T-1_050"),
@@ -153,7 +155,8 @@ def test_limit_learns_from_other_tails():
         usual = 0.25 / 2000.0
         error = 12.0 * 0.010**2 / 30.0**3 + (0.25 * usual) ** 2
         weight = usual**2 / (usual**2 + error)
-        rate, rate_sd = weight * 2e-4 + (1.0 - weight) * usual, np.sqrt(weight * error)
+        rate = weight * 2e-4 + (1.0 - weight) * usual
+        rate_sd = np.sqrt(weight * error)
         at = (np.array([limit.mean]), np.array([np.hypot(limit.sd, 0.05)]))
         return first_passage(*(np.array([v]) for v in (loss, 0.01, rate, rate_sd)), at, np.array([True]))
 
@@ -165,7 +168,8 @@ def test_limit_learns_from_other_tails():
         ("T-3", 91, [0.15, 0.30], 0.12), ("T-3", 99, [0.15, 0.30], 0.12),
         ("T-1", 99, [0.30], 0.02), ("T-2", 99, [0.15], 0.02),
     ):  # fmt: skip
-        by, row = want(levels, loss), row_of(tail, flight)
+        by = want(levels, loss)
+        row = row_of(tail, flight)
         assert row["p_event_100"] == pytest.approx(by[0, 10])
         assert row["rul_flights"] == pytest.approx(quantile(by, 0.5)[0])
         assert (row["rul_low"], row["rul_high"]) == pytest.approx((quantile(by, 0.05)[0], quantile(by, 0.95)[0]))
@@ -257,7 +261,8 @@ def test_rule_ignores_flights_after_message():
 
 
 def test_simulated_rows_take_twentieth_flights():
-    rows, n = simulated_rows(3, fleets=2, aircraft=2, flights=60), 0
+    rows = simulated_rows(3, fleets=2, aircraft=2, flights=60)
+    n = 0
     begins = np.random.default_rng(4)
     for lives, doubt in draw_fleets(3, 2, 2, 60):
         left, failed = lives.remaining()

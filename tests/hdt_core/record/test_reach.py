@@ -8,7 +8,8 @@ import pytest
 from hdt_core.record.reach import out_of_reach
 
 START = datetime(2024, 1, 1, tzinfo=UTC)
-HOME, AWAY = ("AAA", "LX-1"), ("BBB", "LX-2")
+HOME = ("AAA", "LX-1")
+AWAY = ("BBB", "LX-2")
 
 
 def flown(aircraft: tuple[str, str], *days: float, hours: float = 2.0) -> pl.DataFrame:

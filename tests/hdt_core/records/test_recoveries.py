@@ -137,7 +137,8 @@ def test_units_follow_contemporary_record(loss, entry, units):
 @pytest.mark.parametrize("loss", [WORN, np.full(FLIGHTS, 0.3)], ids=["late", "not done"])
 def test_units_need_no_later_flight(loss):
     entries = log((1, RENEWED + 30) if loss is WORN else (1, RENEWED))
-    whole, early = flown(loss), flown(loss[:95])
+    whole = flown(loss)
+    early = flown(loss[:95])
 
     then, now = (units_as_known(f, judge(f, entries)) for f in (early, whole))
 

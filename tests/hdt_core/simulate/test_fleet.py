@@ -50,15 +50,20 @@ def test_snapshots_follow_the_contract(fleet):
 
 def test_sound_pack_conserves_heat():
     rng = np.random.default_rng(0)
-    design, one = draw_design(rng), np.ones(1)
-    now, demand = packs.reference(one), packs.reference_demand(design, one)
+    design = draw_design(rng)
+    one = np.ones(1)
+    now = packs.reference(one)
+    demand = packs.reference_demand(design, one)
     door = one * 0.4
     hot_k, ram_k, flow, _ = packs.outlets(design, now, demand, door, packs.clean(one))
     cold_k = now.tat_k + design.ram_heating_k
     lost_w = demand.flow_kg_s * mean_specific_heat_j_kg_k(demand.hot_in_k, hot_k) * (demand.hot_in_k - hot_k)
     np.testing.assert_allclose(lost_w, flow * mean_specific_heat_j_kg_k(cold_k, ram_k) * (ram_k - cold_k), rtol=1e-9)
-    design, one = draw_design(np.random.default_rng(1)), np.ones(3)
-    now, demand, loss = packs.reference(one), packs.reference_demand(design, one), np.array([0.0, 0.1, 0.2])
+    design = draw_design(np.random.default_rng(1))
+    one = np.ones(3)
+    now = packs.reference(one)
+    demand = packs.reference_demand(design, one)
+    loss = np.array([0.0, 0.1, 0.2])
     inlet_pa, exit_pa = packs.compressor_pressures_pa(now)
     _, exit_k = packs.compressor_rows(
         diameter_m=one, inlet_k=now.tat_k, inlet_pa=inlet_pa, exit_pa=exit_pa,
@@ -84,7 +89,8 @@ def test_controller_holds_its_target():
 
 
 def test_blockage_exaggerates_apparent_loss():
-    design, one = draw_design(np.random.default_rng(2)), np.ones(3)
+    design = draw_design(np.random.default_rng(2))
+    one = np.ones(3)
     wear = packs.ExchangerWear(0 * one, np.array([0.0, 0.2, 0.4]), 0 * one, one)
     ratio, apparent, ram = packs.loss_ratios(design, wear)
     np.testing.assert_allclose([ratio[0], apparent[0], ram[0]], 1.0, atol=1e-6)
@@ -201,7 +207,8 @@ def test_wear_never_heals(shape):
 @pytest.mark.parametrize(("shape", "sign"), [("accelerating", 1), ("asymptotic", -1), ("falling_rate", -1)])
 def test_shapes_bend_as_named(shape, sign):
     loss = population(shape)
-    first, second = loss[:, 250] - loss[:, 0], loss[:, 499] - loss[:, 250]
+    first = loss[:, 250] - loss[:, 0]
+    second = loss[:, 499] - loss[:, 250]
     worn = loss[:, 499] < 0.85
     assert np.mean(sign * (second - first)[worn] > 0) > 0.95
 

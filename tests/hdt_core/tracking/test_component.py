@@ -149,7 +149,8 @@ CHILLER = PhysicsModel(
 @pytest.mark.parametrize(("flow_spread", "weak"), [(0.01, ("flow_exponent",)), (0.2, ())])
 def test_steady_flow_leaves_exponent_open(flow_spread, weak):
     """An exponent of 0.8 +- 0.26 is an optimum, and no ground for a loss at other flows."""
-    rng, n = np.random.default_rng(4), 300
+    rng = np.random.default_rng(4)
+    n = 300
     nominal = pl.DataFrame(
         {
             "flow_kg_s": 10.0 * np.exp(flow_spread * rng.standard_normal(n)),
@@ -183,7 +184,8 @@ def rig() -> dict[str, Any]:
 
 def accuracy_pct(rows: pl.DataFrame) -> float:
     """Share of the cycles whose cooler setting follows from UA, by ten folds of whole runs. [%]"""
-    x, y = rows.select(pl.col("ua_w_k").log()).to_numpy(), rows["cooler_pct"].to_numpy()
+    x = rows.select(pl.col("ua_w_k").log()).to_numpy()
+    y = rows["cooler_pct"].to_numpy()
     predicted = cross_val_predict(LinearDiscriminantAnalysis(), x, y, groups=rows["run"].to_numpy(), cv=GroupKFold(10))
     return 100.0 * float((predicted == y).mean())
 

@@ -82,7 +82,8 @@ def test_silent_flight_is_predicted():
     loss = _loss(rows, VALVE.param("valve_loss"), COMPONENT, DesignOffset(0.02))
     ratio, variance, exposure = loss.observations
     np.testing.assert_allclose(ratio, (np.log([0.99, np.nan, np.nan, 0.98]) - 0.02) / loss.size)
-    own, nothing = (0.01 / np.array([0.99, 0.98]) / loss.size) ** 2 + 0.005**2, 1.0
+    own = (0.01 / np.array([0.99, 0.98]) / loss.size) ** 2 + 0.005**2
+    nothing = 1.0
     np.testing.assert_allclose(variance, [own[0], nothing, nothing, own[1]])
     np.testing.assert_array_equal(exposure, np.ones(4))
 
@@ -103,7 +104,8 @@ def test_night_continues_from_checkpoint():
 
 
 def test_design_prior_needs_every_deviation():
-    sure, unsure = Param("a", "-", 2.0, (0.0, 5.0), "design", sd=0.3), Param("b", "-", 1.0, (0.0, 5.0), "design")
+    sure = Param("a", "-", 2.0, (0.0, 5.0), "design", sd=0.3)
+    unsure = Param("b", "-", 1.0, (0.0, 5.0), "design")
     both = replace(VALVE, params=(sure, replace(unsure, sd=0.5)), equations=lambda flow_kg_s, a, b: flow_kg_s * a * b)
     prior = design_prior(both)
     np.testing.assert_allclose(prior.mean, [2.0, 1.0])
@@ -160,7 +162,8 @@ def test_reading_status_follows_samples(values, where, status):
     assert (row["value"] is None) == (status in ("few_samples", "not_recorded", "off_nominal"))
 
 
-COOLER, SPRAYED = components()["HXT"], components()["HXT"].with_terms(["water_spray"])
+COOLER = components()["HXT"]
+SPRAYED = components()["HXT"].with_terms(["water_spray"])
 TRUE = {"hxt_ntu": 1.75, "hxt_exponent": 0.3, "hxt_water_spray": 0.4}
 NO_WORK = pl.DataFrame(schema={"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String,
                                "action": pl.String, "done_on": pl.Date})  # fmt: skip
@@ -171,7 +174,8 @@ def flown(losses: list[float], spray: float = 0.4, sensor_k: float = 0.3) -> pl.
     """Climbs of one pack, a sample every ten seconds, in the long form of the store."""
     flights = []
     for k, loss in enumerate(losses):
-        rng, t = np.random.default_rng(k), np.arange(0.0, 600.0, 10.0)
+        rng = np.random.default_rng(k)
+        t = np.arange(0.0, 600.0, 10.0)
         start = datetime(2024, 1, 1, 8, tzinfo=UTC) + timedelta(days=k)
         signals = pl.DataFrame({
             "time_utc": [start + timedelta(seconds=s) for s in t], "altitude_m": 300.0 + 7.0 * t,

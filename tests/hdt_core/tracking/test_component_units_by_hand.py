@@ -114,7 +114,8 @@ def test_declared_estimator_is_used():
     rows = samples([1.9 + 0.01 * (-1) ** k for k in range(12)])
     legs = rows.select(LEG).unique(maintain_order=True).with_columns(reason=pl.lit(""))
     none = log()
-    losses, n_evals = {}, {}
+    losses = {}
+    n_evals = {}
     for method in ("nls", "pso"):
         part = replace(PART, estimator=method)
         design = rows.select(PACK).head(1).with_columns(component=pl.lit("PMP")).join(
@@ -123,7 +124,8 @@ def test_declared_estimator_is_used():
         )  # fmt: skip
         assert design["value"].to_list() == pytest.approx([1.9], abs=1e-3)
         flown, (health, _) = unit_health(rows.with_columns(nominal=True), legs, design, none, part)
-        losses[method], n_evals[method] = health["value"], flown["n_evals"].median()
+        losses[method] = health["value"]
+        n_evals[method] = flown["n_evals"].median()
     np.testing.assert_allclose(losses["pso"], losses["nls"], atol=1e-4)
     assert n_evals["pso"] > 5 * n_evals["nls"]
     with pytest.raises(ValueError, match=r"component PMP: estimator is nls, pso, ekf, ukf, pinn.*, not guess"):
@@ -132,7 +134,8 @@ def test_declared_estimator_is_used():
 
 def test_second_level_names_its_reasons():
     legs = flights(4, reason=["SHORT", "", "", ""])
-    key, pack = legs.select(LEG), legs.select(PACK).unique()
+    key = legs.select(LEG)
+    pack = legs.select(PACK).unique()
     own = _second_level(legs, key[2:3], pack)
     assert own.select("reason", "admitted").rows() == [("SHORT", False), ("", True), ("STRAY", False), ("", True)]
     none = _second_level(legs, key.clear(), pack.clear())

@@ -28,7 +28,8 @@ def parameter(rows: pl.DataFrame, name: str) -> pl.DataFrame:
 
 def machines(loss: np.ndarray, **columns: object) -> pl.DataFrame:
     """A flight a day of a machine whose efficiency and effective diameter are lower by this much."""
-    efficiency, diameter = 0.8 * (1.0 - loss), 0.17 * (1.0 - loss)
+    efficiency = 0.8 * (1.0 - loss)
+    diameter = 0.17 * (1.0 - loss)
     readings = {"efficiency": efficiency.tolist(), "diameter_m": diameter.tolist(), "expected_diameter_m": 0.17}
     return flights(len(loss), **({"cc_n_samples": 9, "cc_status": None} | readings | columns))
 
@@ -41,11 +42,14 @@ def test_first_flight_weighs_every_hypothesis(name):
     offsets = (unit_sd / size) ** 2 + max((0.02**2 - unit_sd**2) / size**2, 0.015**2)  # of 2 % over machines
     rows = []
     for (share, rate, rate_sd), (part, wear, wear_sd) in product(PACES, ENTRY):
-        mean, variance = wear + rate / 5.0, wear_sd**2 + (rate_sd / 5.0) ** 2 + (0.001 / size) ** 2
+        mean = wear + rate / 5.0
+        variance = wear_sd**2 + (rate_sd / 5.0) ** 2 + (0.001 / size) ** 2
         residual = -np.log(1.0 - 0.008) / size - mean
         s = variance + offsets + 0.005**2 + (scatter / size) ** 2
-        sound, odd = 0.99 * norm.pdf(residual, 0.0, s**0.5), 0.01 * norm.pdf(residual, 0.0, (s + 0.3**2) ** 0.5)
-        use, shift = sound / (sound + odd), variance / s * residual
+        sound = 0.99 * norm.pdf(residual, 0.0, s**0.5)
+        odd = 0.01 * norm.pdf(residual, 0.0, (s + 0.3**2) ** 0.5)
+        use = sound / (sound + odd)
+        shift = variance / s * residual
         spread = variance - use * variance**2 / s + use * (1.0 - use) * shift**2
         rows.append((share * part * (sound + odd), mean + use * shift, spread))
     weight, mean, variance = np.array(rows).T
@@ -66,7 +70,8 @@ def test_recovers_known_loss(name):
     rng = np.random.default_rng(5)
     noisy = 1.0 - (1.0 - truth) * np.exp(LOSSES[name][-1] * rng.standard_normal(200))
     rows = track(machines(noisy), log(("T-1", 1, "CC", "REPLACED", 139)))
-    filtered, smoothed = parameter(rows, name), parameter(rows, f"{name}_smoothed")
+    filtered = parameter(rows, name)
+    smoothed = parameter(rows, f"{name}_smoothed")
     error = filtered["value"].to_numpy() - truth
     assert np.abs(error[[39, 139, 199]]).max() < 0.02
     assert (np.abs(error) < 1.645 * filtered["sd"].to_numpy()).mean() > 0.9
@@ -102,7 +107,9 @@ def test_scatter_follows_earlier_segments():
     """
     ratio = np.r_[np.tile([0.0, 0.02], 25), np.tile([0.0, 0.06], 35)]
     ratio[1:40:3] = np.nan
-    early, late, noise = 1.4826 * 0.02 / 2**0.5, 1.4826 * 0.06 / 2**0.5, 0.01
+    early = 1.4826 * 0.02 / 2**0.5
+    late = 1.4826 * 0.06 / 2**0.5
+    noise = 0.01
     for usual_sd, own_sd, expected in (
         (0.006, 0.0, [0.006, early, late]),
         (None, 0.0, [early, early, late]),
@@ -136,7 +143,8 @@ def test_loss_begins_with_first_reading(machine, loss):
 
 def test_packs_are_filtered_separately(machine):
     two = pl.concat([machine, machine.with_columns(pack=pl.lit(2, pl.Int32))])
-    both, alone = track(two, log()), track(machine, log())
+    both = track(two, log())
+    alone = track(machine, log())
     assert both.height == 2 * alone.height
     for name in LOSSES:
         assert parameter(both.filter(pack=2), name).drop("pack").equals(parameter(alone, name).drop("pack"))

@@ -38,7 +38,12 @@ NAVAL = Component(
 )  # fmt: skip
 SPREAD = replace(NAVAL, model=replace(MODEL, params=(
     replace(MODEL.params[0], sd=0.04), replace(MODEL.params[1], unit_sd=0.05))))  # fmt: skip
-SHIPS, VOYAGES, SAMPLES, RENEWED, WASHED, UNIT_SD = 8, 160, 6, 80, 50, 0.05
+SHIPS = 8
+VOYAGES = 160
+SAMPLES = 6
+RENEWED = 80
+WASHED = 50
+UNIT_SD = 0.05
 
 
 def worn(rng: np.random.Generator, ship: int) -> np.ndarray:
@@ -54,7 +59,8 @@ def worn(rng: np.random.Generator, ship: int) -> np.ndarray:
 def record(rng: np.random.Generator, wear: np.ndarray, offset: np.ndarray) -> pl.DataFrame:
     """Samples in the store's long form of ships whose wear and unit's ln efficiency are (ships, voyages)."""
     shape = (*wear.shape, SAMPLES)
-    inlet, ratio = rng.normal(290.0, 6.0, shape), rng.uniform(2.5, 4.0, shape)
+    inlet = rng.normal(290.0, 6.0, shape)
+    ratio = rng.uniform(2.5, 4.0, shape)
     built = 0.75 * np.exp(offset + 0.006 * rng.standard_normal(offset.shape))
     outlet = exit_k(inlet_k=inlet, pressure_ratio=ratio, nav_efficiency=built[..., None],
                     nav_loss=1.0 - np.exp(-wear[..., None])) + rng.normal(0.0, 1.0, shape)  # fmt: skip
@@ -103,27 +109,37 @@ def test_intervals_cover_true_loss(fleet, component):
 
 def lives(rng: np.random.Generator, voyages: int, life: float) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """Wear and offset of one ship's units, and the voyages that end in a failure, each unit at a loss of its own."""
-    wear, offset, failures = np.zeros(voyages), np.zeros(voyages), []
-    level, rate, limit = rng.choice([0.0, 0.04, 0.08]), rng.gamma(4.0, 0.25) * 0.288 / life, rng.normal(0.25, 0.03)
+    wear = np.zeros(voyages)
+    offset = np.zeros(voyages)
+    failures = []
+    level = rng.choice([0.0, 0.04, 0.08])
+    rate = rng.gamma(4.0, 0.25) * 0.288 / life
+    limit = rng.normal(0.25, 0.03)
     own = UNIT_SD * rng.standard_normal()
     for voyage in range(voyages):
-        wear[voyage], offset[voyage] = level, own
+        wear[voyage] = level
+        offset[voyage] = own
         level += rate * rng.gamma(2.0, 0.5)
         if 1.0 - np.exp(-wear[voyage]) >= limit:
             failures.append(voyage)
-            level, rate, limit = 0.0, rng.gamma(4.0, 0.25) * 0.288 / life, rng.normal(0.25, 0.03)
+            level = 0.0
+            rate = rng.gamma(4.0, 0.25) * 0.288 / life
+            limit = rng.normal(0.25, 0.03)
             own = UNIT_SD * rng.standard_normal()
     return wear, offset, failures
 
 
 def test_remaining_life_is_unbiased():
     """Thirty ships of three seeds: 4 to 9 voyages, 89 to 93 % covered."""
-    rng, voyages, life = np.random.default_rng(1), 400, 200.0
+    rng = np.random.default_rng(1)
+    voyages = 400
+    life = 200.0
     units = [lives(rng, voyages, life) for _ in range(16)]
     wear, offset = (np.array(x) for x in list(zip(*units, strict=True))[:2])
     ends = [(ship, at) for ship, (_, _, failures) in enumerate(units) for at in failures]
     component = replace(SPREAD, message_code="NAV01", life_flights=life)
-    signals, log = record(rng, wear, offset), log_of([(ship, "REPLACED", at + 1) for ship, at in ends])
+    signals = record(rng, wear, offset)
+    log = log_of([(ship, "REPLACED", at + 1) for ship, at in ends])
     messages = pl.DataFrame(ends, schema=["ship", "day"], orient="row").select(
         operator=pl.lit("NVY"), tail=pl.format("S-{}", "ship"), pack=pl.lit(1, pl.Int32), code=pl.lit("NAV01"),
         flight_id=pl.format("V-{}", pl.col("day").cast(pl.String).str.zfill(3)), text=pl.lit(""),
@@ -144,7 +160,8 @@ def test_remaining_life_is_unbiased():
     remaining = np.array([min(one, default=np.nan) for one in ahead])
     late = remaining <= 100
     error = rows["rul_flights"].to_numpy()[late] - remaining[late]
-    low, high = rows["rul_low"].to_numpy()[late], rows["rul_high"].to_numpy()[late]
+    low = rows["rul_low"].to_numpy()[late]
+    high = rows["rul_high"].to_numpy()[late]
     covered = (low <= remaining[late]) & (remaining[late] <= high)
     assert late.sum() > 400
     assert abs(error.mean()) < 15.0

@@ -24,7 +24,8 @@ def twin_flights() -> pl.DataFrame:
 
 @pytest.fixture
 def faults() -> Corrections:
-    shift, blur = np.array([0.0, 0.0, -0.05, 0.0]), np.array([0.0, 0.0, 1e-4, 0.0])
+    shift = np.array([0.0, 0.0, -0.05, 0.0])
+    blur = np.array([0.0, 0.0, 1e-4, 0.0])
     return Corrections(shift, blur, np.array([0, 0, 1, 0]) > 0, np.ones(4))
 
 
@@ -94,7 +95,8 @@ def test_track_uses_model_level(twin_flights):
 
 
 def test_no_number_is_no_estimate():
-    nan, inf = float("nan"), float("inf")
+    nan = float("nan")
+    inf = float("inf")
     rows = pl.DataFrame({"value": [0.1, nan, 0.1, 0.1, None, 0.1], "sd": [0.0, 0.1, inf, -0.1, None, None]})
     result = _null_invalid(rows.with_columns(status=pl.lit("ok")))
     assert result["status"].to_list() == ["ok", *["no_number"] * 3, "ok", "ok"]

@@ -21,7 +21,8 @@ GAUGES = PhysicsModel(
     equations=lambda load, gau_size, gau_loss: (load * (gau_size + gau_loss), load * (gau_size - gau_loss)),
 )
 PART = Component("GAU", "gauges", "size lost", GAUGES, "gau_loss", Limit(0.4, 0.05, 0.05), 1000.0, "look")
-SHIFTED, ALL = 60, 100
+SHIFTED = 60
+ALL = 100
 
 
 def shifted_flights(part: Component, shift: float, loss_step: float = 0.0) -> pl.DataFrame:
@@ -31,7 +32,8 @@ def shifted_flights(part: Component, shift: float, loss_step: float = 0.0) -> pl
     rows = flights(ALL).rename({"departed_at": "time_utc"}).drop("status")
     rows = pl.concat([rows.with_columns(pl.col("time_utc") + pl.duration(minutes=k)) for k in range(6)])
     noise = 0.02 * rng.standard_normal((2, 6 * ALL))
-    upper, lower = 1.0 + (shift + loss_step) * late + noise[0], 1.0 - loss_step * late + noise[1]
+    upper = 1.0 + (shift + loss_step) * late + noise[0]
+    lower = 1.0 - loss_step * late + noise[1]
     rows = rows.sort("time_utc").with_columns(upper=pl.Series(upper), lower=pl.Series(lower), load=pl.lit(1.0))
     model = with_sensor_errors(part.model)
     return sensor_shifts(flight_by_flight(rows, model, ["gau_loss"]), rows, model, part)

@@ -74,7 +74,8 @@ def test_segments_equal_literal_recursion(three, log, model):
 
 
 def test_only_last_segments_are_refiltered(three, log, model, whole, monkeypatch):
-    flown, step = [], segments.step
+    flown = []
+    step = segments.step
     monkeypatch.setattr(
         segments, "step", lambda b, observation, s: flown.append(len(observation.ratio)) or step(b, observation, s)
     )
@@ -110,7 +111,8 @@ NONE = np.zeros(2, dtype=np.int64)
 
 def panel(first: np.ndarray, second: np.ndarray) -> FlightPanel:
     """Two packs side by side, the second with fewer flights; rows are numbered pack by pack."""
-    n, m = len(first), len(second)
+    n = len(first)
+    m = len(second)
     row = np.column_stack([np.arange(n), np.where(np.arange(n) < m, n + np.arange(n), -1)])
     ratio = np.column_stack([first, np.r_[second, np.full(n - m, np.nan)]])
     flat = np.zeros((n, 2))
@@ -153,8 +155,10 @@ def test_checkpoint_continues_the_pass(flown, segment):
 
 def test_sibling_branches_merge_by_moments():
     before = start(SETTINGS)
-    parent, weight = np.array([3, 3, 5]), np.array([0.2, 0.6, 0.1])
-    mean, cov = np.zeros((3, 5)), np.tile(1e-9 * np.eye(5), (3, 1, 1))
+    parent = np.array([3, 3, 5])
+    weight = np.array([0.2, 0.6, 0.1])
+    mean = np.zeros((3, 5))
+    cov = np.tile(1e-9 * np.eye(5), (3, 1, 1))
     mean[:, 0] = 0.1, 0.2, 0.3
     after = _merge_branches(before, parent, weight, mean, cov)
     np.testing.assert_allclose(np.exp(after.log_weight[[3, 5]]), [0.8, 0.1])

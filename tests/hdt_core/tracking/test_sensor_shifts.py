@@ -15,7 +15,8 @@ SLOPES = {
 
 def flights(column: str, apart: list[float], ratio: list[float], pack: int = 1) -> pl.DataFrame:
     """One pack, a flight every six hours."""
-    n, (slope, per) = len(apart), SLOPES.get(column, ("no_slope", 0.0))
+    n = len(apart)
+    slope, per = SLOPES.get(column, ("no_slope", 0.0))
     named = pl.DataFrame({"ln_ua_ratio": ratio, column: apart, slope: [per] * n}).cast(pl.Float64)
     return named.with_columns(
         operator=pl.lit("TST"), tail=pl.lit("T-01"), pack=pl.lit(pack, pl.Int32),

@@ -50,7 +50,8 @@ def test_recovers_spread_of_units(true_sd):
 
 
 def test_worn_sisters_leave_level_alone():
-    sound, worn = [0.01, -0.01] * 6, [-0.2, -0.25]
+    sound = [0.01, -0.01] * 6
+    worn = [-0.2, -0.25]
 
     levels = clean_levels(design([*sound, *worn]), PART)
 

@@ -55,8 +55,10 @@ def test_later_flights_change_no_estimate(flights, model, fleet):
 
 def test_intervals_cover_many_units(model):
     rng = np.random.default_rng(3)
-    off, sd = [], []
-    packs, truth = [], {}
+    off = []
+    sd = []
+    packs = []
+    truth = {}
     for k in range(120):
         at_entry = 0.0 if rng.random() < 0.5 else rng.exponential(0.08)
         loss = 1.0 - np.exp(-(at_entry + rng.choice([2e-4, 1e-3, 2e-3]) * np.arange(60)))
@@ -86,8 +88,10 @@ def test_replacement_sharpens_the_estimate(model):
 
 
 def test_unlogged_replacement_is_inferred(model):
-    worn, new = np.linspace(0.05, 0.3, 100), np.linspace(0.0, 0.05, 60)
-    silent, logged = [], []
+    worn = np.linspace(0.05, 0.3, 100)
+    new = np.linspace(0.0, 0.05, 60)
+    silent = []
+    logged = []
     for k, unit in enumerate(np.linspace(-0.08, 0.02, 6)):
         twin = flights_with_loss(model, np.r_[worn, new], offset=np.r_[np.zeros(100), np.full(60, unit)], seed=k)
         elsewhere = entry(twin, 20, "SENSOR", "INSPECTED")
@@ -153,7 +157,9 @@ def test_vouched_step_is_followed_quickly(model):
 def test_smoothing_reduces_error(model):
     rng = np.random.default_rng(11)
     sensors_sd = np.sqrt(model.offset_sd**2 - 0.03**2)
-    frames, logs, truth = [], [], []
+    frames = []
+    logs = []
+    truth = []
     for k in range(60):
         worn = rng.choice([0.0, 0.05, 0.15])
         loss = np.r_[worn + np.linspace(0.0, 0.15, 40), np.linspace(0.0, 0.03, 30)]
@@ -190,7 +196,8 @@ def test_flights_have_each_parameter_once(flights, model):
     assert valued["sd"].is_not_null().all()
     assert (valued["sd"] >= 0.0).all()
     assert track(flights.clear(), NO_LOG, model).health.height == 0
-    sure, unsure = model, replace(model, clean_level_sd=0.1)
+    sure = model
+    unsure = replace(model, clean_level_sd=0.1)
     a, b = (fouling(flights.sort(IN_ORDER), NO_LOG, m)["sd"].mean() for m in (sure, unsure))
     assert b > a
 

@@ -39,7 +39,8 @@ def renewed(h: One, chance: float, unlogged: bool) -> list[One]:
     children = []
     for j, (share, rate, rate_sd, *_) in enumerate(PACES):
         drop = np.diag([0.0, 0.0, 1.0, 0.0, 1.0])
-        m, p = drop @ h.m, drop @ h.p @ drop
+        m = drop @ h.m
+        p = drop @ h.p @ drop
         m[:2] = 0.003, rate
         p += np.diag([0.006**2, rate_sd**2, 0.0, 0.04**2, 0.0])
         event = h.event * drop.diagonal()
@@ -76,7 +77,8 @@ def aged(h: One, row: int) -> One:
 
 def logged(h: One, due: int, log_kept: bool) -> list[One]:
     """What an entry, or its absence on the ninth flight, does: 1 washed, 2 replaced."""
-    recent, missing = h.since <= 8, h.unlogged and h.since == 9 and log_kept
+    recent = h.since <= 8
+    missing = h.unlogged and h.since == 9 and log_kept
     h = h._replace(lw=h.lw + (np.log(0.03) if missing else 0.0), unlogged=h.unlogged and not due and not missing)
     if not due or recent:
         return [h]
@@ -85,8 +87,10 @@ def logged(h: One, due: int, log_kept: bool) -> list[One]:
 
 
 def branched(h: One, ratio: float, variance: float, opened: int) -> list[One]:
-    off, sd = ratio - SETTINGS.level - ROW @ h.m, np.sqrt(ROW @ h.p @ ROW + variance)
-    surprised, open_kind = abs(off) > 2.0 * sd, opened if h.since > 8 else 0
+    off = ratio - SETTINGS.level - ROW @ h.m
+    sd = np.sqrt(ROW @ h.p @ ROW + variance)
+    surprised = abs(off) > 2.0 * sd
+    open_kind = opened if h.since > 8 else 0
     children = [h._replace(lw=h.lw + (np.log(0.5) if open_kind else 0.0))]
     if open_kind:
         children += renewed(h, 0.5 / 60, h.unlogged) if open_kind == 2 else [washed(h, 0.5 / 60, 0.3, 0.2)]
@@ -112,7 +116,8 @@ def update_one(h: One, ratio: float, variance: float) -> One:
     off = ratio - SETTINGS.level - ROW @ h.m
     sound = 0.99 * norm.pdf(off, scale=np.sqrt(total))
     stray = 0.01 * norm.pdf(off, scale=np.sqrt(total + 0.3**2))
-    use, gain = sound / (sound + stray), h.p @ ROW / total
+    use = sound / (sound + stray)
+    gain = h.p @ ROW / total
     p = h.p - np.outer(gain, gain) * total * use + use * (1.0 - use) * off**2 * np.outer(gain, gain)
     return h._replace(lw=h.lw + np.log(sound + stray), m=h.m + use * gain * off, p=p, before=h)
 
@@ -171,7 +176,9 @@ CASES = {
 def flown(request: pytest.FixtureRequest) -> tuple[list[list[One]], list[Hypotheses], list[Any]]:
     """Enumerated states after each flight, the filter's with nothing dropped or merged, and its branchings."""
     start = first(1, since=3) if "never" in request.param else first(2, since=30)
-    enumerated, filtered, branchings = [start], [flat(start)], []
+    enumerated = [start]
+    filtered = [flat(start)]
+    branchings = []
     with pytest.MonkeyPatch.context() as patched:
         for name, value in {"LEAST_WEIGHT": 1e-290, "WEAR_BIN": 1e-13, "MOST": 10**6}.items():
             patched.setattr(mmf, name, value)
@@ -241,7 +248,8 @@ def test_start_spans_every_hypothesis():
     # of the offset 0.05 the unit has 0.04, the sensors the rest, 0.03; the level's own error lies on the sensors too
     rest = (0.03**2 + 0.01**2, 0.04**2, 0.005**2)
     for k, cov in enumerate(states.cov):
-        p, e = PACES[k // 4], ENTRY[k % 4]
+        p = PACES[k // 4]
+        e = ENTRY[k % 4]
         np.testing.assert_allclose(cov, np.diag([e[2] ** 2, p[2] ** 2, *rest]))
     assert states.pace.tolist() == [0] * 4 + [1] * 4 + [2] * 4
     assert (states.since[:4] == [0, 10**6, 10**6, 10**6]).all()
