@@ -22,13 +22,22 @@ ratios = st.floats(0.05, 1.0)
 GRID = [(n, c) for n in (0.05, 0.3, 1.0, 1.5, 2.5, 5.0, 10.0) for c in (0.05, 0.3, 0.7, 1.0)]
 
 
-def test_effectiveness_equals_references():
+each_point = pytest.mark.parametrize(("ntu", "ratio"), GRID)
+
+
+def test_published_effectiveness_is_reproduced():
     assert crossflow_effectiveness(1.5, 1.05) == pytest.approx(0.617790718, abs=5e-10)
-    for ntu, ratio in GRID:
-        exact = ht.effectiveness_from_NTU(ntu, ratio, subtype="crossflow")
-        assert crossflow_effectiveness(ntu, ntu * ratio) == pytest.approx(exact, abs=1e-11)
-    for ntu, ratio in GRID:
-        assert counterflow_effectiveness(ntu, ratio) == pytest.approx(ht.effectiveness_from_NTU(ntu, ratio), rel=1e-12)
+
+
+@each_point
+def test_crossflow_equals_exact_integral(ntu, ratio):
+    exact = ht.effectiveness_from_NTU(ntu, ratio, subtype="crossflow")
+    assert crossflow_effectiveness(ntu, ntu * ratio) == pytest.approx(exact, abs=1e-11)
+
+
+@each_point
+def test_counterflow_equals_ht(ntu, ratio):
+    assert counterflow_effectiveness(ntu, ratio) == pytest.approx(ht.effectiveness_from_NTU(ntu, ratio), rel=1e-12)
 
 
 def by_incomplete_gamma(this, other):
@@ -49,14 +58,20 @@ def test_series_holds_for_any_ntu(ntu, ratio):
 
 
 def test_balanced_streams_have_a_closed_form():
-    """1 - e^-2N [I0(2N) + I1(2N)], from which 1 / sqrt(pi N) is left; `ht` gives it up to 350 transfer units."""
+    """1 - e^-2N [I0(2N) + I1(2N)], from which 1 / sqrt(pi N) is left."""
     ntu = np.geomspace(0.1, 1e6, 200)
     short = 1.0 - crossflow_effectiveness(ntu, ntu)
     np.testing.assert_allclose(short, i0e(2.0 * ntu) + i1e(2.0 * ntu), atol=2e-15)
     assert crossflow_effectiveness(1e3, 1e3) == pytest.approx(0.98216, abs=1e-5)
-    for right in (20.0, 100.0, 300.0):
-        theirs = ht.effectiveness_from_NTU(right, 1.0, subtype="crossflow")
-        assert crossflow_effectiveness(right, right) == pytest.approx(theirs, abs=1e-12)
+
+
+@pytest.mark.parametrize("ntu", [20.0, 100.0, 300.0])
+def test_balanced_streams_equal_ht(ntu):
+    expected = ht.effectiveness_from_NTU(ntu, 1.0, subtype="crossflow")
+    assert crossflow_effectiveness(ntu, ntu) == pytest.approx(expected, abs=1e-12)
+
+
+def test_ht_ends_at_350_units():
     with warnings.catch_warnings(action="ignore"):
         assert not np.isfinite(ht.effectiveness_from_NTU(1000.0, 1.0, subtype="crossflow"))
 
@@ -110,9 +125,18 @@ def test_both_sides_carry_same_heat(this, other):
     here = crossflow_effectiveness(this, other) / this
     there = crossflow_effectiveness(other, this) / other
     assert here == pytest.approx(there, rel=1e-12)
+
+
+def complex_step_slope(this, other):
+    """Slope of the effectiveness where both sides' transfer units grow alike."""
     step = 1.0 + 1e-30j
+    return float(crossflow_effectiveness(this * step, other * step).imag) / 1e-30
+
+
+@given(transfer_units, transfer_units)
+def test_slope_is_complex_step(this, other):
     _, slope = crossflow_effectiveness_and_slope(this, other)
-    assert slope == pytest.approx(float(crossflow_effectiveness(this * step, other * step).imag) / 1e-30, rel=1e-9)
+    assert slope == pytest.approx(complex_step_slope(this, other), rel=1e-9)
 
 
 @given(transfer_units)
@@ -124,10 +148,8 @@ def test_boundless_side_hides_flow_pattern(ntu):
 
 @given(st.floats(8.0, 1e4), st.floats(0.5, 1.0))
 def test_slope_holds_for_many_ntu(ntu, ratio):
-    step = 1.0 + 1e-30j
     _, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
-    stepped = crossflow_effectiveness(ntu * step, ntu * ratio * step).imag / 1e-30
-    assert slope == pytest.approx(float(stepped), rel=1e-9, abs=1e-13)
+    assert slope == pytest.approx(complex_step_slope(ntu, ntu * ratio), rel=1e-9, abs=1e-13)
 
 
 @given(st.floats(0.01, 6.0), st.floats(0.05, 2.0))
@@ -140,20 +162,35 @@ def test_bulk_inverse_recovers_ntu():
     ratio = np.random.default_rng(2).uniform(0.2, 1.8, 5000)
     back = crossflow_ntu(crossflow_effectiveness(ntu, ntu * ratio), ratio)
     np.testing.assert_allclose(back, ntu, rtol=1e-9, atol=1e-12)
+
+
+def test_impossible_effectiveness_has_no_inverse():
     assert np.isnan(crossflow_ntu([-0.1, 1.0, 1.2, 0.7, 0.5], [0.5, 0.5, 0.5, 1.5, -0.5])).all()
+
+
+def test_zero_effectiveness_needs_no_units():
     assert crossflow_ntu(0.0, 0.5) == 0.0
+
+
+def test_missing_units_stay_missing():
     ntu = np.array([1.5, np.nan, 0.3])
     result = crossflow_effectiveness(ntu, 0.7 * ntu)
     assert np.isnan(result).tolist() == [False, True, False]
     assert result[0] == pytest.approx(0.617790718, abs=5e-10)
+
+
+def test_missing_effectiveness_has_no_inverse():
     assert np.isnan(crossflow_ntu(np.array([np.nan, 0.5]), np.array([0.7, np.nan]))).all()
-    # Iterations end for each value by itself, so a flight's numbers are the same whatever shares its run.
+
+
+@pytest.mark.parametrize("part", [slice(0, 3), slice(3, 700), slice(700, None)], ids=str)
+def test_value_is_independent_of_batch(part):
+    """Iterations end for each value by itself, so a flight's numbers are the same whatever shares its run."""
     rng = np.random.default_rng(7)
     ntu = rng.uniform(0.05, 20.0, 2_000)
     ratio = rng.uniform(0.1, 1.2, 2_000)
     value, slope = crossflow_effectiveness_and_slope(ntu, ntu * ratio)
     whole = (value, slope, crossflow_ntu(value, ratio))
-    for part in (slice(0, 3), slice(3, 700), slice(700, None)):
-        alone = crossflow_effectiveness_and_slope(ntu[part], (ntu * ratio)[part])
-        for one, of in zip((*alone, crossflow_ntu(value[part], ratio[part])), whole, strict=True):
-            assert np.array_equal(one, of[part])
+    alone = crossflow_effectiveness_and_slope(ntu[part], (ntu * ratio)[part])
+    for one, of in zip((*alone, crossflow_ntu(value[part], ratio[part])), whole, strict=True):
+        assert np.array_equal(one, of[part])

@@ -31,12 +31,20 @@ LAW = {
 }  # fmt: skip
 
 
-@given(flows, flows, st.floats(300.0, 480.0), st.floats(220.0, 290.0), conductances)
+each_exchanger = given(flows, flows, st.floats(300.0, 480.0), st.floats(220.0, 290.0), conductances)
+
+
+@each_exchanger
 def test_heat_lost_is_heat_won(hot_flow, ram_flow, hot_in, cold_in, ua):
     hot_out, ram_out = outlets_k(hot_flow, ram_flow, hot_in, cold_in, ua)
-    hot_side_w = hot_flow * mean_specific_heat_j_kg_k(hot_in, hot_out) * (hot_in - hot_out)
-    won = ram_flow * mean_specific_heat_j_kg_k(cold_in, ram_out) * (ram_out - cold_in)
-    np.testing.assert_allclose(hot_side_w, won, rtol=1e-10)
+    loss_w = hot_flow * mean_specific_heat_j_kg_k(hot_in, hot_out) * (hot_in - hot_out)
+    gain_w = ram_flow * mean_specific_heat_j_kg_k(cold_in, ram_out) * (ram_out - cold_in)
+    np.testing.assert_allclose(loss_w, gain_w, rtol=1e-10)
+
+
+@each_exchanger
+def test_outlets_lie_between_inlets(hot_flow, ram_flow, hot_in, cold_in, ua):
+    hot_out, ram_out = outlets_k(hot_flow, ram_flow, hot_in, cold_in, ua)
     assert cold_in < hot_out < hot_in
     assert cold_in < ram_out < hot_in
 
@@ -48,57 +56,79 @@ def test_measured_conductance_inverts_outlets(hot_flow, ram_flow, ua):
         assert measured_conductance_w_k(hot_flow, ram_flow, 390.0, hot_out, 250.0) == pytest.approx(ua, rel=1e-6)
 
 
+def predict_outlets(hot_flow, ram_flow, fouling=0.0):
+    inputs = {"hot_flow_kg_s": hot_flow, "ram_flow_kg_s": ram_flow, "hot_in_k": 390.0, "cold_in_k": 250.0}
+    return HEAT_EXCHANGER.predict({"hx_fouling": fouling}, inputs)
+
+
 @given(flows, flows)
 def test_fouling_warms_hot_outlet(hot_flow, ram_flow):
-    inputs = {"hot_flow_kg_s": hot_flow, "ram_flow_kg_s": ram_flow, "hot_in_k": 390.0, "cold_in_k": 250.0}
-    out = HEAT_EXCHANGER.predict({"hx_fouling": np.linspace(-0.2, 0.8, 11)}, inputs)
+    out = predict_outlets(hot_flow, ram_flow, np.linspace(-0.2, 0.8, 11))
     assert np.all(np.diff(out["hot_out_k"]) > 0.0)
     assert np.all(np.diff(out["ram_out_k"]) < 0.0)
-    more = HEAT_EXCHANGER.predict({}, inputs | {"ram_flow_kg_s": 1.1 * ram_flow})
-    assert more["hot_out_k"] < HEAT_EXCHANGER.predict({}, inputs)["hot_out_k"]
 
 
-def test_conductance_follows_flows():
-    """Balanced films of exponent 0.6: each side is worth 0.30 in ln UA, both 0.60."""
-    step = 1e-6
-    hot = np.log(clean_conductance_w_k(0.9 * (1 + step), 1.6, **LAW) / 1500.0) / step
-    ram = np.log(clean_conductance_w_k(0.9, 1.6 * (1 + step), **LAW) / 1500.0) / step
-    assert hot == pytest.approx(0.30, abs=1e-4)
-    assert ram == pytest.approx(0.30, abs=1e-4)
-    both = clean_conductance_w_k(1.8, 3.2, **LAW)
-    assert both == pytest.approx(1500.0 * 2.0**0.6, rel=1e-12)
-    # k^0.67 mu^-0.27 from CoolProp's properties, against the power law, over what a pack sees.
+@given(flows, flows)
+def test_ram_air_cools_hot_outlet(hot_flow, ram_flow):
+    assert predict_outlets(hot_flow, 1.1 * ram_flow)["hot_out_k"] < predict_outlets(hot_flow, ram_flow)["hot_out_k"]
+
+
+@pytest.mark.parametrize(("hot_flow", "ram_flow"), [(0.9 * (1.0 + 1e-6), 1.6), (0.9, 1.6 * (1.0 + 1e-6))])
+def test_conductance_follows_either_flow(hot_flow, ram_flow):
+    """Balanced films of exponent 0.6: each side is worth 0.30 in ln UA."""
+    ratio = clean_conductance_w_k(hot_flow, ram_flow, **LAW) / 1500.0
+    assert np.log(ratio) / 1e-6 == pytest.approx(0.30, abs=1e-4)
+
+
+def test_conductance_follows_both_flows():
+    assert clean_conductance_w_k(1.8, 3.2, **LAW) == pytest.approx(1500.0 * 2.0**0.6, rel=1e-12)
+
+
+@pytest.mark.parametrize(("hot_in_k", "cold_in_k"), [(340.0, 230.0), (390.0, 250.0), (440.0, 290.0)])
+def test_film_gains_follow_air_properties(hot_in_k, cold_in_k):
+    """k^0.67 mu^-0.27 from CoolProp's properties, against the power law, over what a pack sees."""
 
     def film(temperature_k):
         conductivity, viscosity = (PropsSI(key, "T", temperature_k, "P", 1e5, "Air") for key in "LV")
         return conductivity**0.67 * viscosity**-0.27
 
-    for hot_in_k, cold_in_k in [(340.0, 230.0), (390.0, 250.0), (440.0, 290.0)]:
-        hot, cold = film_gains(hot_in_k, cold_in_k)
-        assert hot == pytest.approx(film(0.75 * hot_in_k + 0.25 * cold_in_k) / film(355.0), abs=0.01)
-        assert cold == pytest.approx(film(0.25 * hot_in_k + 0.75 * cold_in_k) / film(285.0), abs=0.01)
+    hot = film(0.75 * hot_in_k + 0.25 * cold_in_k) / film(355.0)
+    cold = film(0.25 * hot_in_k + 0.75 * cold_in_k) / film(285.0)
+    assert film_gains(hot_in_k, cold_in_k) == pytest.approx((hot, cold), abs=0.01)
 
 
 def test_wall_conductance_ignores_flow():
     wall = LAW | {"hx_hot_share": 1e-12, "hx_wall_share": 1.0 - 2e-12}
     assert clean_conductance_w_k(0.3, 3.0, **wall) == pytest.approx(1500.0, rel=1e-9)
-    assert np.isnan(measured_conductance_w_k(0.9, 1.6, 390.0, 395.0, 250.0))
-    assert np.isnan(measured_conductance_w_k(1.6, 0.9, 390.0, 290.0, 250.0))
 
 
-def test_loss_warms_outlet_as_published():
+@pytest.mark.parametrize(("hot_flow", "ram_flow", "hot_out_k"), [(0.9, 1.6, 395.0), (1.6, 0.9, 290.0)])
+def test_impossible_temperatures_have_no_conductance(hot_flow, ram_flow, hot_out_k):
+    assert np.isnan(measured_conductance_w_k(hot_flow, ram_flow, 390.0, hot_out_k, 250.0))
+
+
+@pytest.mark.parametrize(("ua_w_k", "warmer_k", "error_k"), [(1350.0, 3.7, 0.3), (1050.0, 13.0, 1.0)])
+def test_loss_warms_outlet_as_published(ua_w_k, warmer_k, error_k):
     """Cross-flow, UA 1500 W/K, door fixed: 10 % moves the hot outlet by 3.7 K, 30 % by 13 K (docs/errata.md)."""
-    nominal = outlets_k(0.9, 1.6, 390.0, 250.0, 1500.0)[0]
-    assert outlets_k(0.9, 1.6, 390.0, 250.0, 1350.0)[0] - nominal == pytest.approx(3.7, abs=0.3)
-    assert outlets_k(0.9, 1.6, 390.0, 250.0, 1050.0)[0] - nominal == pytest.approx(13.0, abs=1.0)
-    # Deviations as declared; of a share of resistance and a film's temperature, start and range too.
+    worn, nominal = (outlets_k(0.9, 1.6, 390.0, 250.0, ua)[0] for ua in (ua_w_k, 1500.0))
+    assert worn - nominal == pytest.approx(warmer_k, abs=error_k)
+
+
+def test_design_knowledge_is_as_declared():
+    """Deviations; of a share of resistance, a film's temperature and an area, start and range too."""
     sds = (0.5, 0.05, 0.05, 0.3, 0.05, 0.15, 0.7, 0.4, 0.15, 0.25, 0.4, 0.1)
     assert tuple(p.sd for p in DESIGN) == sds
     own = {p.name: (p.nominal, *p.bounds) for p in DESIGN}
-    assert own["hot_share_logit"] == (0.0, -1.5, 1.5)
-    assert own["film_temperature_exponent"] == (0.15, -0.5, 0.8)
-    assert own["ln_rest_area"] == pytest.approx(tuple(np.log((0.025, 0.0025, 0.6))))
-    # Hot flow at twice 0.9 kg/s, ram flow at four times 1.6; films of 45 % of the resistance each, a wall of 10 %.
+    expected = {
+        "hot_share_logit": (0.0, -1.5, 1.5),
+        "film_temperature_exponent": (0.15, -0.5, 0.8),
+        "ln_rest_area": pytest.approx(tuple(np.log((0.025, 0.0025, 0.6)))),
+    }
+    assert {name: own[name] for name in expected} == expected
+
+
+def test_clean_conductance_by_hand():
+    """Hot flow at twice 0.9 kg/s, ram at four times 1.6; films of 45 % of the resistance each, a wall of 10 %."""
     law = {"ln_ua_reference": np.log(1500.0), "hx_exponent_hot": 0.6, "hx_exponent_cold": 0.5, "hx_wall_share": 0.1}
     design = np.array([[(law | {"film_temperature_exponent": 0.7}).get(name, 0.0)] for name in NAMES])
     signals = {"pack_flow_kg_s": np.array([1.8]), "hx_in_k": np.array([450.0]), "tat_k": np.array([250.0])}
@@ -195,23 +225,44 @@ CORE = {"hxt_ntu": 1.5, "hxt_exponent": 0.3, "hxt_loss": 0.1}
 LEFT = np.exp(-0.9 * 1.5 * 1.5**0.3)
 
 
-def test_spray_cools_the_air():
+def test_dry_core_follows_its_units():
     assert UNMETERED.predict(CORE, INPUTS)["hot_out_k"] == pytest.approx(290.0 + 110.0 * LEFT)
+
+
+def test_spray_cools_the_air():
     room_k = TERMS["water_spray"].shape(INPUTS)
     sprayed = SPRAYED.predict(CORE | {"hxt_water_spray": 0.4}, INPUTS)["hot_out_k"]
     assert sprayed == pytest.approx(290.0 - 0.4 * room_k + (110.0 + 0.4 * room_k) * LEFT)
+
+
+def test_effectiveness_by_temperatures():
     assert effectiveness(400.0, 345.0, 290.0) == 0.5
+
+
+def test_ram_flux_is_density_times_airspeed():
     static_k = 293.15 / (1.0 + 0.2 * 0.24**2)
     density = 94e3 / (1.0 + 0.2 * 0.24**2) ** 3.5 / (287.05287 * static_k)
     airspeed_m_s = 0.24 * np.sqrt(1.4 * 287.05287 * static_k)
     assert ram_flux_kg_s_m2(0.24, 94e3, 293.15) == pytest.approx(density * airspeed_m_s, rel=1e-6)
+
+
+def test_signals_without_terms_stay():
     assert correct_signals(TRUTH, {}) == TRUTH
-    assert TERMS["water_spray"].name == "water_spray"
+
+
+def test_terms_are_listed_by_name():
+    assert [term.name for term in TERMS.values()] == list(TERMS)
+
+
+def test_unknown_term_is_refused():
     with pytest.raises(KeyError):
         correct_signals(TRUTH, {"unheard_of": 1.0})
-    for temperature_k in (275.0, 290.0, 320.0):
-        theirs = PropsSI("P", "T", temperature_k, "Q", 0, "Water")
-        assert saturation_pressure_pa(temperature_k) == pytest.approx(theirs, rel=5e-3)
+
+
+@pytest.mark.parametrize("temperature_k", [275.0, 290.0, 320.0])
+def test_saturation_pressure_agrees_with_coolprop(temperature_k):
+    expected = PropsSI("P", "T", temperature_k, "Q", 0, "Water")
+    assert saturation_pressure_pa(temperature_k) == pytest.approx(expected, rel=5e-3)
 
 
 TRUTH = {
@@ -241,7 +292,14 @@ def test_term_shapes_match_paper():
     }  # fmt: skip
     expected = {name: pytest.approx(shape, rel=1e-3) for name, shape in shapes.items()}
     assert {name: term.shape(TRUTH) for name, term in TERMS.items()} == expected
+
+
+def test_term_bounds_are_as_declared():
     assert [term.bounds for term in TERMS.values()] == [(-0.5, 1.0), *[(-0.5, 0.5)] * 3]
-    assert within("water_spray", 7.0) == 1.0
-    assert within("water_spray", -7.0) == -0.5
-    assert within("inlet_gain", 0.07) == 0.07
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"), [("water_spray", 7.0, 1.0), ("water_spray", -7.0, -0.5), ("inlet_gain", 0.07, 0.07)]
+)
+def test_term_is_limited_to_its_bounds(name, value, expected):
+    assert within(name, value) == expected

@@ -18,18 +18,30 @@ from hdt_core.physics.lumped_exchanger import (
 )
 
 AT = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k": 250.0}
+START_K = {"hot_volume_k": 350.0, "cold_volume_k": 260.0}
 flows = st.floats(0.3, 3.0)
 coefficients = st.floats(200.0, 20000.0)
 
 
-@given(flows, flows, coefficients)
-def test_tied_coefficient_inverts_outlets(hot_flow, ram_flow, h):
+each_tied_exchanger = given(flows, flows, coefficients)
+
+
+def tied_outlets(hot_flow, ram_flow, h):
     at = AT | {"hot_flow_kg_s": hot_flow, "ram_flow_kg_s": ram_flow}
-    hot_out, ram_out = steady_outlets_k(**at, hx_h_hot_w_k=h, hx_h_cold_w_k=h)
+    return at, *steady_outlets_k(**at, hx_h_hot_w_k=h, hx_h_cold_w_k=h)
+
+
+@each_tied_exchanger
+def test_tied_coefficient_inverts_outlets(hot_flow, ram_flow, h):
+    at, hot_out, _ = tied_outlets(hot_flow, ram_flow, h)
     assert tied_coefficient_w_k(**at, hot_out_k=hot_out) == pytest.approx(h, rel=1e-8)
-    hot_side_w = hot_flow * CP_HOT_J_KG_K * (390.0 - hot_out)
-    won = ram_flow * CP_COLD_J_KG_K * (ram_out - 250.0)
-    assert hot_side_w == pytest.approx(won, rel=1e-11)
+
+
+@each_tied_exchanger
+def test_tied_coefficients_balance_heat(hot_flow, ram_flow, h):
+    _, hot_out, ram_out = tied_outlets(hot_flow, ram_flow, h)
+    loss_w = hot_flow * CP_HOT_J_KG_K * (390.0 - hot_out)
+    assert loss_w == pytest.approx(ram_flow * CP_COLD_J_KG_K * (ram_out - 250.0), rel=1e-11)
 
 
 def test_rates_follow_equations_7_8():
@@ -38,23 +50,42 @@ def test_rates_follow_equations_7_8():
     hot, cold = rates_k_s(**AT, **more, hot_volume_k=320.0, cold_volume_k=290.0)
     assert hot == pytest.approx((0.9 * 70.0 - 2500.0 * 30.0 / CP_HOT_J_KG_K) / 5.0)
     assert cold == pytest.approx((-1.6 * 40.0 + 2000.0 * 30.0 / CP_COLD_J_KG_K) / 8.0)
+
+
+def offset_after_one_second(form):
+    """From the steady state, with the mass of the air alone. [K]"""
     gas = {"hx_mass_hot_kg": 0.03, "hx_mass_cold_kg": 0.03}
     steady = lumped_exchanger("quasi_steady").predict({}, AT)["hot_out_k"]
-    later = lumped_exchanger("exact").advance(gas, AT, {"hot_volume_k": 350.0, "cold_volume_k": 260.0}, 1.0)
-    assert abs(later["hot_volume_k"] - steady) < 1e-9
-    wild = lumped_exchanger("euler").advance(gas, AT, {"hot_volume_k": 350.0, "cold_volume_k": 260.0}, 1.0)
-    assert abs(wild["hot_volume_k"] - steady) > 100.0
+    return abs(lumped_exchanger(form).advance(gas, AT, START_K, 1.0)["hot_volume_k"] - steady)
 
 
-def test_declaration_is_as_published():
-    model = lumped_exchanger()
+def test_exact_form_settles_light_volumes():
+    assert offset_after_one_second("exact") < 1e-9
+
+
+def test_euler_form_loses_light_volumes():
+    assert offset_after_one_second("euler") > 100.0
+
+
+def test_parameters_are_as_published():
     coefficient = (2500.0, (1.0, 1e6), "design", 0.0)
     mass = (8.0, (0.01, 50.0), "design", 0.0)
-    assert [(p.nominal, p.bounds, p.role, p.drift) for p in model.params] == [
+    assert [(p.nominal, p.bounds, p.role, p.drift) for p in lumped_exchanger().params] == [
         coefficient, coefficient, (0.0, (-0.5, 0.95), "health", 0.005), mass, mass
     ]  # fmt: skip
+
+
+def test_sensors_are_as_published():
+    model = lumped_exchanger()
     assert [s.sigma for s in (*model.inputs, *model.outputs)] == [0.01, None, 0.5, 0.2, 0.5, 0.5]
-    assert [(s.name, s.initial) for s in model.states] == [("hot_volume_k", 320.0), ("cold_volume_k", 290.0)]
+
+
+def test_states_start_as_published():
+    starts = [(s.name, s.initial) for s in lumped_exchanger().states]
+    assert starts == [("hot_volume_k", 320.0), ("cold_volume_k", 290.0)]
+
+
+def test_untied_coefficients_break_the_balance():
     hot_out, ram_out = steady_outlets_k(**AT, hx_h_hot_w_k=2500.0, hx_h_cold_w_k=2000.0)
     assert 0.9 * CP_HOT_J_KG_K * (390.0 - hot_out) > 1.2 * 1.6 * CP_COLD_J_KG_K * (ram_out - 250.0)
 
@@ -87,9 +118,9 @@ def matrix(h_hot, h_cold, m_hot, m_cold):
 @given(coefficients, coefficients, st.floats(0.05, 20.0), st.floats(0.05, 20.0), st.floats(0.001, 5.0))
 def test_exact_form_is_matrix_exponential(h_hot, h_cold, m_hot, m_cold, dt_s):
     params = {"hx_h_hot_w_k": h_hot, "hx_h_cold_w_k": h_cold, "hx_mass_hot_kg": m_hot, "hx_mass_cold_kg": m_cold}
-    later = lumped_exchanger("exact").advance(params, AT, {"hot_volume_k": 350.0, "cold_volume_k": 260.0}, dt_s)
+    later = lumped_exchanger("exact").advance(params, AT, START_K, dt_s)
     steady = np.array(steady_outlets_k(**AT, hx_h_hot_w_k=h_hot, hx_h_cold_w_k=h_cold))
-    expected = steady + expm(matrix(h_hot, h_cold, m_hot, m_cold) * dt_s) @ (np.array([350.0, 260.0]) - steady)
+    expected = steady + expm(matrix(h_hot, h_cold, m_hot, m_cold) * dt_s) @ (np.array(list(START_K.values())) - steady)
     np.testing.assert_allclose(list(later.values()), expected, rtol=1e-10)
 
 
@@ -97,8 +128,7 @@ def test_exact_form_is_matrix_exponential(h_hot, h_cold, m_hot, m_cold, dt_s):
 def test_sequential_forms_keep_their_order(form, order):
     def after_one_second(form, steps):
         hold = AT | {"ram_flow_kg_s": np.full(steps + 1, 1.6)}
-        start = {"hot_volume_k": 350.0, "cold_volume_k": 260.0}
-        return lumped_exchanger(form).simulate({}, hold, 1.0 / steps, start)["hot_out_k"][-1]
+        return lumped_exchanger(form).simulate({}, hold, 1.0 / steps, START_K)["hot_out_k"][-1]
 
     exact = after_one_second("exact", 1)
     coarse, fine = (abs(after_one_second(form, n) - exact) for n in (8, 16))

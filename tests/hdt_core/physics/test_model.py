@@ -40,6 +40,10 @@ def test_outputs_broadcast_over_batches(model):
     for name, value in model.predict(batch, inputs).items():
         full = np.broadcast_to(value, (2, 3))
         np.testing.assert_allclose(full[0], one[name], rtol=1e-13)
+
+
+@each_model
+def test_nominal_values_lie_within_bounds(model):
     for param, (low, high) in zip(model.params, model.bounds(), strict=True):
         assert low < param.nominal < high or param.nominal == low == 0.0
         assert param.role == "design" or (param.nominal == 0.0 and low < 0.0 and param.drift > 0.0)
@@ -94,21 +98,40 @@ LOSSES = {
 }  # fmt: skip
 
 
-def test_declarations_match_paper():
-    """Noise, bias and gain of each sensor; of each design parameter start, range and deviation of one aircraft; of each
-    loss range, drift and deviation of a unit as made."""
-    installed = (COMPRESSOR, CORE_EXCHANGER, HEAT_EXCHANGER, RAM_DUCT)
-    sensors = {(s.name, (s.sigma, s.bias_sd, s.gain_sd)) for m in installed for s in (*m.inputs, *m.outputs)}
+INSTALLED = (COMPRESSOR, CORE_EXCHANGER, HEAT_EXCHANGER, RAM_DUCT)
+
+
+def params_with(role: str) -> set[Param]:
+    models = (*INSTALLED, lumped_exchanger("exact"), lumped_exchanger("tustin"), SPRAYED)
+    return {p for m in models for p in m.params if p.role == role}
+
+
+def test_sensors_match_paper():
+    """Noise, bias and gain of each sensor."""
+    sensors = {(s.name, (s.sigma, s.bias_sd, s.gain_sd)) for m in INSTALLED for s in (*m.inputs, *m.outputs)}
     assert sensors == set(SENSORS.items())
-    params = {p for m in (*installed, lumped_exchanger("exact"), lumped_exchanger("tustin"), SPRAYED) for p in m.params}
-    design = {p.name: (p.nominal, *p.bounds, p.sd) for p in params if p.role == "design"}
+
+
+def test_design_ranges_match_paper():
+    """Start, range and deviation of one aircraft."""
+    design = {p.name: (p.nominal, *p.bounds, p.sd) for p in params_with("design")}
     assert design == {name: pytest.approx(value) for name, value in DESIGN.items()}
-    assert {p.name: (*p.bounds, p.drift, p.unit_sd) for p in params if p.role == "health"} == LOSSES
+
+
+def test_loss_ranges_match_paper():
+    """Range, drift and deviation of a unit as made."""
+    assert {p.name: (*p.bounds, p.drift, p.unit_sd) for p in params_with("health")} == LOSSES
+
+
+def test_textbook_sensors_match_paper():
     textbook = {s.name: s.sigma for s in (*lumped_exchanger("exact").inputs, *lumped_exchanger("exact").outputs)}
     assert textbook == {
         "hot_flow_kg_s": 0.01, "ram_flow_kg_s": None, "hot_in_k": 0.5, "cold_in_k": 0.2, "hot_out_k": 0.5,
         "ram_out_k": 0.5,
     }  # fmt: skip
+
+
+def test_sprayed_outlet_has_declared_noise():
     assert [s.sigma for s in SPRAYED.outputs] == [3.0]
 
 
@@ -119,17 +142,28 @@ def test_roles_divide_the_parameters():
     assert not health & design
     assert health | design == set(COMPRESSOR.nominal)
     assert COMPRESSOR.bounds("health").shape == (2, 2)
+
+
+def test_calibrated_model_changes_values_alone():
     sold = HEAT_EXCHANGER.calibrated({"hx_ua_reference_w_k": 1800.0})
     assert sold.nominal == {**HEAT_EXCHANGER.nominal, "hx_ua_reference_w_k": 1800.0}
     assert HEAT_EXCHANGER.nominal["hx_ua_reference_w_k"] == 1700.0
+
+
+def test_unknown_parameter_is_refused():
     with pytest.raises(KeyError, match="no parameter ua"):
         HEAT_EXCHANGER.calibrated({"ua": 1.0})
+
+
+def test_missing_input_is_refused():
     with pytest.raises(KeyError, match="mach"):
         RAM_DUCT.predict({}, {k: v for k, v in typical(RAM_DUCT).items() if k != "mach"})
-    with pytest.raises(ValueError, match="differ in gain"):
-        PhysicsModel("m", (Signal("x", "-"),), (Signal("y", "-"),), (), doubled)
-    with pytest.raises(ValueError, match="differ in slope"):
-        PhysicsModel("m", (Signal("x", "-"),), (Signal("y", "-"),), (), lambda *, slope, **values: slope)
+
+
+@pytest.mark.parametrize(("name", "equations"), [("gain", doubled), ("slope", lambda *, slope, **values: slope)])
+def test_undeclared_argument_is_refused(name, equations):
+    with pytest.raises(ValueError, match=f"differ in {name}"):
+        PhysicsModel("m", (Signal("x", "-"),), (Signal("y", "-"),), (), equations)
 
 
 @pytest.mark.parametrize(("upper", "is_share"), [(0.999, True), (1.0, False), (1.1, False)])
