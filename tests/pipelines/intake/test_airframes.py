@@ -39,13 +39,13 @@ def test_reused_registration_is_another_airframe():
     assert [(t.since, t.airframe) for t in tenures] == [(date.min, FIRST), (DAY, ("AQX", "LX-AAC.2"))]
 
 
-def test_delivery_parts_undated_lines_of_one_tail():
+def test_delivery_day_parts_undated_lines():
     lines = [line(FIRST, delivered=date(2015, 1, 1)), line(FIRST, msn="49999", delivered=DAY)]
 
     assert [t.since for t in find_airframes(lines).tenures(FIRST)] == [date.min, DAY]
 
 
-def test_lease_keeps_flights_of_one_tail_apart():
+def test_lease_keeps_flights_apart():
     assert find_airframes([line(FIRST), line(LEASED)]).tenures(LEASED)[0].prefix == "BZR."
 
 
@@ -72,7 +72,7 @@ def test_contradicting_lines_count_without_msn(lines):
 @pytest.mark.parametrize(
     ("later_from", "apart"), [(100, False), (98, False), (40, True)], ids=["in turn", "misdated", "at the same time"]
 )
-def test_flights_show_that_one_msn_is_two_airframes(later_from, apart):
+def test_flown_days_part_one_msn(later_from, apart):
     days = {
         FIRST: [DAY + timedelta(days=k) for k in range(100)],
         LATER: [DAY + timedelta(days=k) for k in range(later_from, later_from + 60)],

@@ -51,7 +51,7 @@ def read_balanced(*files: LandingFile) -> list[FileIntake]:
     return read
 
 
-def test_flights_named_alike_the_longer_of_two_deliveries_and_the_same_again(put):
+def test_flights_named_alike_stay_apart(put):
     files = [put(f"AAA/{tail}/hx/a.csv", lines("CYCLE-0001", 5, hot)) for tail, hot in (("T1", 400), ("T2", 410))]
     read = read_balanced(*files)
     assert [d.n_loaded for d in read] == [5, 5]
@@ -68,7 +68,7 @@ def test_flights_named_alike_the_longer_of_two_deliveries_and_the_same_again(put
     assert sorted((d.n_loaded, d.n_duplicate) for d in read) == [(0, 4), (4, 0)]
 
 
-def test_a_parquet_file_is_read_as_the_same_rows(put, tmp_path):
+def test_parquet_gives_the_same_rows(put, tmp_path):
     text = put("AAA/T1/hx/a.csv", lines("C1", 5))
     frame = pl.read_csv(tmp_path / text.path).with_columns(pl.col("report_time").str.to_datetime(time_zone="UTC"))
     frame.write_parquet(tmp_path / "AAA/T1/hx/b.parquet")
@@ -88,12 +88,12 @@ def test_a_parquet_file_is_read_as_the_same_rows(put, tmp_path):
         (lines("C1", 1).replace(",0.9,", ",-4,"), "out_of_range"),
     ],
 )
-def test_what_is_wrong_is_told(put, text, reason):
+def test_fault_has_its_reason(put, text, reason):
     (read,) = read_balanced(put("AAA/T1/hx/a.csv", text))
     assert reason in read.quarantine["reason"].to_list()
 
 
-def test_a_file_that_fails_unforeseen_costs_itself_alone(put, monkeypatch):
+def test_unforeseen_failure_costs_one_file(put, monkeypatch):
     files = [put(f"AAA/T1/hx/{n}.csv", lines(f"C{n}", 4)) for n in (1, 2, 3)]
     real = intake.open_files
 
@@ -144,7 +144,7 @@ def reader(*folders: str) -> ModuleType:
     (ModuleType("empty"), "is no Reader"),
     (reader("tapes", "drums"), "there is a reader of drums/ already"),
 ])  # fmt: skip
-def test_a_package_that_brings_none_is_named_in_one_line(bring, content, message):
+def test_broken_reader_is_named(bring, content, message):
     bring(point("first", reader("drums")), point("second", content))
     with pytest.raises(ReaderError, match=rf"the reader second \(second:X, of the package pkg\):? {message}"):
         readers()
@@ -156,7 +156,7 @@ def test_each_folder_has_its_reader(bring):
     assert readers() == {"drums": one, "tapes": other, "wires": other}
 
 
-def test_without_a_reader_folders_are_set_aside_by_name_and_nothing_else_is(bring, tmp_path):
+def test_folder_without_reader_is_set_aside(bring, tmp_path):
     files = ("recorder/T-1_20240101_01.dat", "reports/a.dat", "cpl/a.parquet")
     for path in ("types/T.toml", *(f"AAA/T-1/{file}" for file in files)):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
@@ -169,7 +169,7 @@ def test_without_a_reader_folders_are_set_aside_by_name_and_nothing_else_is(brin
     assert all("hdt_recorder of the package hybrid-digital-twin-extensions reads it" in why for why in details.values())
 
 
-def test_a_recording_of_earlier_nights_gives_nothing_and_says_why(bring, tmp_path):
+def test_recording_without_reader_gives_nothing(bring, tmp_path):
     bring()
     path = "AAA/T-1/recorder/T-1_20240101_01.dat"
     (tmp_path / path).parent.mkdir(parents=True)

@@ -73,13 +73,13 @@ def logs(landing, now):
     return {f.path: readers[f.kind](f, now) for f in landing.files if f.kind in readers}
 
 
-def test_table_holds_every_file_of_expected_md():
+def test_table_lists_every_expected_file():
     files = re.findall(r"^\| `([^`]+)` \|", (ROOT / "expected.md").read_text(), re.MULTILINE)
     assert sorted(files) == sorted(EXPECTED)
 
 
 @pytest.mark.parametrize("path", EXPECTED)
-def test_becomes_what_is_expected(path, intake, logs):
+def test_file_ends_as_expected(path, intake, logs):
     reason, scope, n_entries, n_out, n_read, columns = EXPECTED[path]
     log = logs.get(path)
     rows = intake.rows.filter(pl.col("file") == path) if log is None else log.rows
@@ -96,7 +96,7 @@ def test_becomes_what_is_expected(path, intake, logs):
         assert faults["content"].null_count() == 0
 
 
-def test_nothing_else_is_reported_and_repeated_rows_are_stored_once(landing, intake, logs):
+def test_no_other_file_is_reported(landing, intake, logs):
     assert landing.quarantine.is_empty()
     others = [p for p in (*intake.quarantine["file"], *logs) if p not in EXPECTED and p != "fleet.csv"]
     assert not others
@@ -111,7 +111,7 @@ def test_nothing_else_is_reported_and_repeated_rows_are_stored_once(landing, int
     assert balances(intake.delivered, merged.rows, merged.duplicates, intake.quarantine)
 
 
-def test_the_flight_of_the_how_to_is_taken_in_as_the_recorder_gave_it(monkeypatch):
+def test_flight_of_howto_is_taken_in(monkeypatch):
     monkeypatch.chdir(PROJECT)
     page = walk("raw-data.md")
     written, sample = list_landing(page["landing"]), list_landing(PROJECT / "data_samples")
@@ -130,7 +130,7 @@ CSV = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
 N = 42  # rows of the good flight
 
 
-def test_a_hostile_number_of_bad_rows_is_counted_and_not_listed(good_flight, deliver, read):
+def test_hostile_number_of_faults_is_counted(good_flight, deliver, read):
     head = good_flight.splitlines(keepends=True)[0]
     lines = read(deliver({CSV: head + b"x\n" * 30_000}))
     rows = read(deliver({CSV: head + good_flight.splitlines(keepends=True)[1].replace(b",1,", b",9,", 1) * 30_000}))
@@ -140,7 +140,7 @@ def test_a_hostile_number_of_bad_rows_is_counted_and_not_listed(good_flight, del
         assert intake.quarantine["n_rows"].sum() == 30_000 == intake.delivered["n_delivered"].sum()
 
 
-def test_a_file_beyond_the_limit_is_refused_unread(good_flight, deliver, read, monkeypatch):
+def test_oversized_file_is_refused_unread(good_flight, deliver, read, monkeypatch):
     monkeypatch.setattr("pipelines.intake.landing_file.MAX_TEXT_BYTES", 1000)
     assert read(deliver({CSV: good_flight})).quarantine["reason"].to_list() == ["too_large"]
 
@@ -156,7 +156,7 @@ MEGABYTES = {
 
 
 @pytest.mark.parametrize(("head", "line", "reason"), MEGABYTES.values(), ids=list(MEGABYTES))
-def test_megabytes_of_lines_that_are_no_report_are_refused_at_once(head, line, reason, deliver, read):
+def test_megabytes_of_junk_are_refused_quickly(head, line, reason, deliver, read):
     n = (60 << 20) // len(line)
     files = deliver({CSV: head + line * n})
     began = time.process_time()
@@ -169,7 +169,7 @@ def test_megabytes_of_lines_that_are_no_report_are_refused_at_once(head, line, r
 
 
 @pytest.mark.parametrize("error", [RuntimeError, pl.exceptions.PanicException])
-def test_a_file_nobody_foresaw_costs_itself_alone(error, good_flight, deliver, read, monkeypatch):
+def test_unforeseen_failure_costs_one_file(error, good_flight, deliver, read, monkeypatch):
     """Whatever fails, an error or a panic, and wherever: the batch is halved until the one file is found."""
     files = deliver({f"AQX/LX-AAA/acms/copy {i}.csv": good_flight for i in range(7)})
     real = snapshots.validate_rows
@@ -199,7 +199,7 @@ print(sorted(set(intake.quarantine["reason"])), intake.rows.height)
 """
 
 
-def test_parquet_that_unpacks_to_more_than_memory_is_refused_before_it_is_unpacked(good_flight, deliver, tmp_path):
+def test_parquet_bomb_is_never_unpacked(good_flight, deliver, tmp_path):
     """In a process that may take 600 MB more: the bombs cost no memory, and the good file beside them is read."""
     bombs = {"history_2024-06.parquet": claims_too_much, "history_2024-07.parquet": long_words}
     deliver({f"AQX/LX-AAA/acms/{name}": make(good_flight) for name, make in bombs.items()} | {CSV: good_flight})

@@ -31,7 +31,7 @@ def test_other_languages_name_the_cause():
 
 
 @pytest.mark.parametrize(("n_late", "is_wrong"), [(0, False), (2, False), (3, True)])
-def test_most_new_flights_after_the_clock_show_it_wrong(n_late, is_wrong):
+def test_flights_after_clock_show_it_wrong(n_late, is_wrong):
     with duckdb.connect() as con:
         con.execute("create schema tables")
         flights = "select 'AQX' as operator, range::varchar as flight_id"

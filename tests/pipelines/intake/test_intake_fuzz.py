@@ -100,7 +100,7 @@ def history(good_flight):
     return sink.getvalue()
 
 
-def test_the_sample_fleet_has_no_row_refused_one_at_a_time_or_all_at_once(read):
+def test_sample_fleet_has_no_fault(read):
     """0 of 395,012 good rows kept aside, frozen, spiked and dropped-out sensors included."""
     files = [f for f in list_landing(SAMPLES).files if f.kind in ("acms", "history", "cpl")]
     intake = read(files)

@@ -62,7 +62,7 @@ LOGS = [
 ]  # fmt: skip
 
 
-def test_line_break_within_quotes(deliver, now):
+def test_quoted_line_breaks_become_spaces(deliver, now):
     lines = '2024-05-02T18:51:18Z,,1,21-52-HXTEMP,"HOT,\n\nHIGH"\n2024-05-03T18:51:18Z,,2,21-52-HXTEMP,5" duct\n'
 
     log = read_messages(deliver({"AQX/LX-AAA/messages.csv": (MESSAGE + lines).encode()})[0], now)
@@ -71,7 +71,7 @@ def test_line_break_within_quotes(deliver, now):
 
 
 @pytest.mark.parametrize(("status", "done"), [("", 1), ("Closed", 1), ("CANCELLED", 0), ("deferred", 0)])
-def test_status_of_work(status, done, deliver, now):
+def test_status_decides_if_work_counts(status, done, deliver, now):
     line = f"2024-05-03,1,HX,REPLACED,,WO1,{status}\n"
     log = (WORK.strip() + ",status\n" + line).encode()
 
@@ -82,7 +82,7 @@ def test_status_of_work(status, done, deliver, now):
 
 
 @pytest.mark.parametrize(("kind", "content", "reason"), LOGS, ids=[f"{k} {r} {i}" for i, (k, _, r) in enumerate(LOGS)])
-def test_class_of_log(kind, content, reason, deliver, now):
+def test_log_ends_as_expected(kind, content, reason, deliver, now):
     path = "fleet.csv" if kind == "fleet" else f"AQX/LX-AAA/{kind}.csv"
     read = {"messages": read_messages, "maintenance": read_maintenance, "fleet": read_fleet}[kind]
     log = read(deliver({path: content.encode()})[0], now)
@@ -90,7 +90,7 @@ def test_class_of_log(kind, content, reason, deliver, now):
     assert log.n_delivered == log.rows.height + log.n_duplicate + log.quarantine["n_rows"].sum()
 
 
-def test_rows_of_work_that_stand_twice_count_once_and_give_a_day_or_a_time_of_day(deliver, now):
+def test_repeated_work_counts_once(deliver, now):
     row = "2024-05-03,1,HX,REPLACED,FOULED,WO1\n"
     content = WORK + 3 * row
     log = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now)
@@ -102,7 +102,7 @@ def test_rows_of_work_that_stand_twice_count_once_and_give_a_day_or_a_time_of_da
     assert [at and f"{at:%d %H:%M}" for at in rows["done_at"]] == [None, "03 22:30", "04 14:20"]
 
 
-def test_the_fleet_list_says_which_packs_there_are_and_since_when(deliver, now):
+def test_fleet_list_judges_work(deliver, now):
     fleet = b"operator,tail,packs,delivered_on\nAQX,LX-AAA,3,2014-06-01\n"
     content = WORK + "2024-05-03,3,HX,REPLACED,FOULED,WO1\n2013-05-03,1,HX,CLEANED,,WO2\n2024-05-04,4,HX,CLEANED,,WO3\n"
     files = deliver({"fleet.csv": fleet, "AQX/LX-AAA/maintenance.csv": content.encode()})
@@ -113,7 +113,7 @@ def test_the_fleet_list_says_which_packs_there_are_and_since_when(deliver, now):
     assert "2013-05-03" in log.quarantine.filter(reason="before_delivery")["detail"].item()
 
 
-def test_log_of_bad_lines_leaves_the_stored_rows(deliver, now):
+def test_bad_log_leaves_stored_rows(deliver, now):
     path = "AQX/LX-AAA/maintenance.csv"
     stored = read_maintenance(deliver({path: (WORK + "2024-05-03,1,HX,REPLACED,,WO1\n").encode()})[0], now).rows
 
@@ -122,7 +122,7 @@ def test_log_of_bad_lines_leaves_the_stored_rows(deliver, now):
     assert or_stored(again, stored).rows.equals(stored)
 
 
-def test_log_with_a_good_line_replaces_the_stored_rows(deliver, now):
+def test_good_line_replaces_stored_rows(deliver, now):
     path = "AQX/LX-AAA/maintenance.csv"
     stored = read_maintenance(deliver({path: (WORK + "2024-05-03,1,HX,REPLACED,,WO1\n").encode()})[0], now).rows
 
@@ -151,7 +151,7 @@ def read_plan(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_bad_rows_are_quarantined_with_row_and_column_and_the_good_go_on(read_plan, kind):
+def test_bad_checks_are_quarantined(read_plan, kind):
     frame = pl.DataFrame([*GOOD, *BAD], schema=CHECK_COLUMNS, orient="row")
     read = read_plan(f"checks.{kind}", getattr(frame, f"write_{kind}"))
     assert [(r[0], r[1], str(r[2]), r[3]) for r in read.rows.rows()] == GOOD
@@ -164,7 +164,7 @@ def test_bad_rows_are_quarantined_with_row_and_column_and_the_good_go_on(read_pl
     assert read.n_delivered == 5 == read.n_loaded + read.quarantine["n_rows"].sum()
 
 
-def test_dates_of_parquet_may_be_dates(read_plan):
+def test_parquet_plan_may_hold_dates(read_plan):
     day = dt.date(2024, 7, 1)
     for dates in ([day, None], [dt.datetime(2024, 7, 1), dt.datetime(2024, 7, 2)]):
         frame = pl.DataFrame({"operator": ["AAA"] * 2, "tail": ["T-1"] * 2, "date": dates})
@@ -172,13 +172,13 @@ def test_dates_of_parquet_may_be_dates(read_plan):
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"operator,tail,date\n", b"PAR1" + bytes(40) + b"PAR1"])
-def test_a_broken_file_is_told_and_nothing_comes_of_it(read_plan, content):
+def test_broken_plan_gives_no_check(read_plan, content):
     read = read_plan("checks.parquet", lambda path: path.write_bytes(content))
     assert read.rows.is_empty()
     assert read.quarantine["reason"].to_list() == ["cannot_read_parquet"]
 
 
-def test_what_the_file_says_counts_over_the_defaults_which_say_so(tmp_path):
+def test_home_costs_replace_defaults(tmp_path):
     costs = read_costs(tmp_path)
     assert set(costs["source"]) == {"default"}
     assert costs.filter(component="HX", item="wash")["cost"].item() == DEFAULTS["HX"]["wash"]
@@ -203,7 +203,7 @@ def test_what_the_file_says_counts_over_the_defaults_which_say_so(tmp_path):
         ("[HX\n", r"costs\.toml: can't be read"),
     ],
 )
-def test_a_bad_value_is_named_with_file_and_key_and_no_other_cost_is_told(tmp_path, text, message):
+def test_bad_cost_is_named(tmp_path, text, message):
     (tmp_path / NAME).write_text(text)
     with pytest.raises(CostError, match=message):
         read_costs(tmp_path)
@@ -231,7 +231,7 @@ def cases(*rows: dict) -> pl.DataFrame:
     return TABLES["raw_cases"].schema.conform(pl.DataFrame(list(rows), infer_schema_length=None))
 
 
-def test_the_same_finding_makes_the_same_line_whoever_tells_it():
+def test_case_equals_line_of_log():
     columns = ("operator", "tail", "pack", "component", "action", "finding", "done_on", "counts_from")
     by_log = date_entries(with_findings(log(), cases(case()).clear()))
     by_case = date_entries(with_findings(log().clear(), cases(case())))
@@ -240,7 +240,7 @@ def test_the_same_finding_makes_the_same_line_whoever_tells_it():
     assert by_case["closes_alert_id"].item() == "a1"
 
 
-def test_work_that_both_tell_of_stands_once():
+def test_work_in_both_counts_once():
     finding = case(action="REPLACED", finding="FOULED", done_on=DAY - dt.timedelta(days=2))
     (row,) = with_findings(log(action="REPLACED", finding=None), cases(finding)).to_dicts()
     assert (row["done_on"], row["finding"], row["reference"], row["closes_alert_id"]) == (DAY, "FOULED", "WO1", "a1")
@@ -248,13 +248,13 @@ def test_work_that_both_tell_of_stands_once():
     assert with_findings(log(action="REPLACED", done_on=DAY + dt.timedelta(days=9)), cases(finding)).height == 2
 
 
-def test_the_last_word_on_an_alert_counts_and_may_be_taken_back():
+def test_last_answer_counts():
     again = case(2, finding="FOULED", action="CLEANED")
     assert with_findings(log().clear(), cases(case(), again))["finding"].to_list() == ["FOULED"]
     assert with_findings(log().clear(), cases(case(), case(2, "reopen"))).is_empty()
 
 
-def test_only_what_was_found_makes_the_work_of_an_aircraft_new():
+def test_only_findings_renew_the_twin():
     """An acknowledgement is on record without a night that makes the twin again."""
     acknowledged = {kind: digest for _, _, _, kind, _, _, digest in case_files(cases(case(kind="acknowledge")))}
     assert set(acknowledged) == {"cases"}

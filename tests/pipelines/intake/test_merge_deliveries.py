@@ -18,7 +18,7 @@ CSV = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
 COPY = "AQX/LX-AAA/acms/copy.csv"
 
 
-def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, deliver, read, now):
+def test_conflicting_row_is_set_aside(good_flight, deliver, read, now):
     files = deliver({CSV: good_flight, COPY: field(5, "hx_out_degc", b"77.5")(good_flight)})
     merged = merge_deliveries([read(files).rows], {f.path: f.received_at for f in files})
     assert merged.rows.height == 42
@@ -30,7 +30,7 @@ def test_other_values_for_the_same_moment_are_kept_aside_by_name(good_flight, de
     assert conflict["received_at"] is not None
 
 
-def test_value_that_the_stored_row_lacks_is_set_aside(good_flight, deliver, read):
+def test_extra_value_is_set_aside(good_flight, deliver, read):
     files = deliver({CSV: field(5, "hx_out_degc", b"")(good_flight), COPY: field(5, "tat_degc", b"")(good_flight)})
 
     merged = merge_deliveries([read(files).rows], {})
@@ -44,7 +44,7 @@ def test_value_that_the_stored_row_lacks_is_set_aside(good_flight, deliver, read
 @pytest.mark.parametrize(
     ("to_time", "n_stored"), [(lambda t: "2024-05-25T17:00:00Z", 2), (lambda t: t[:-3] + "00Z", 42)]
 )
-def test_reports_at_one_time_of_one_file_have_their_own_reason(good_flight, deliver, read, to_time, n_stored):
+def test_simultaneous_reports_have_own_reason(good_flight, deliver, read, to_time, n_stored):
     (file,) = deliver({CSV: retimed(to_time)(good_flight)})
 
     merged = merge_deliveries([read([file]).rows], {})
@@ -53,7 +53,7 @@ def test_reports_at_one_time_of_one_file_have_their_own_reason(good_flight, deli
     assert merged.quarantine["reason"].to_list() == ["same_time"] * (42 - n_stored)
 
 
-def test_rows_beyond_those_listed_belong_to_their_flight(good_flight, deliver, read, monkeypatch):
+def test_unlisted_rows_name_their_flight(good_flight, deliver, read, monkeypatch):
     monkeypatch.setattr(merge, "MAX_ROWS_LISTED", 3)
     (file,) = deliver({CSV: retimed(lambda t: "2024-05-25T17:00:00Z")(good_flight)})
 
@@ -63,7 +63,7 @@ def test_rows_beyond_those_listed_belong_to_their_flight(good_flight, deliver, r
     assert conflicts["flight_id"].unique().to_list() == ["LX-AAA_20240525_04"]
 
 
-def test_a_flight_in_two_history_files_with_other_values(good_flight, deliver, read):
+def test_conflicting_history_is_set_aside(good_flight, deliver, read):
     contents = parquet(good_flight), parquet(field(5, "hx_out_degc", b"77.5")(good_flight))
     names = (f"AQX/LX-AAA/acms/history_2024-05{more}.parquet" for more in ("", " (1)"))
     files = dict(zip(names, contents, strict=True))
@@ -96,7 +96,7 @@ def growing(good_flight, read_zone):
 
 @settings(max_examples=60, deadline=None)
 @given(cut=st.integers(1, 2500))
-def test_a_file_read_while_it_grows_says_nothing_that_it_does_not_say_when_it_is_whole(growing, cut):
+def test_growing_file_adds_nothing_false(growing, cut):
     """Wherever the reader met its end; and the whole file after it loses and doubles nothing."""
     read_part, whole = growing
     part = read_part(cut)
@@ -107,7 +107,7 @@ def test_a_file_read_while_it_grows_says_nothing_that_it_does_not_say_when_it_is
     assert merged.quarantine.is_empty()
 
 
-def test_a_delivery_with_more_values_wins_whatever_its_name(good_flight, deliver, read):
+def test_fuller_delivery_wins(good_flight, deliver, read):
     poorer = field(5, "hx_out_degc", b"")(good_flight)
     for pair in ({CSV: poorer, COPY: good_flight}, {CSV: good_flight, COPY: poorer}):
         merged = merge_deliveries([read(deliver(pair)).rows], {})
@@ -115,7 +115,7 @@ def test_a_delivery_with_more_values_wins_whatever_its_name(good_flight, deliver
         assert merged.quarantine.is_empty()
 
 
-def test_numbers_that_went_through_32_bits_are_the_same_and_a_log_is_another_record(good_flight, deliver, read):
+def test_rounded_numbers_are_the_same(good_flight, deliver, read):
     rows = read(deliver({CSV: good_flight})).rows
     names = [c.si_name for c in SIGNAL_COLUMNS]
     rounded = rows.with_columns(pl.col(names).cast(pl.Float32).cast(pl.Float64), pl.lit(COPY).alias("file"))
@@ -138,7 +138,7 @@ def three_deliveries(good_flight, read_zone):
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32))
 @pytest.mark.usefixtures("tmp_path")
-def test_the_order_of_delivery_does_not_matter(seed, three_deliveries):
+def test_delivery_order_changes_nothing(seed, three_deliveries):
     """Rows, quarantine and ledger are the same for any order of files and of rows within the frames."""
     intake, at, clean = three_deliveries
     rng = random.Random(seed)

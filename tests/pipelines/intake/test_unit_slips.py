@@ -59,12 +59,12 @@ def fleet():
     return frame.with_columns(pl.lit(0, pl.Int32).alias("file_index"))
 
 
-def test_a_sound_fleet_is_not_accused(fleet):
+def test_sound_fleet_has_no_slip(fleet):
     assert find_unit_slips(fleet).is_empty()
 
 
 @pytest.mark.parametrize(("column", "unit", "reason"), SLIPS, ids=[c for c, _, _ in SLIPS])
-def test_one_column_in_another_unit_is_found(column, unit, reason, fleet):
+def test_column_in_other_unit_is_found(column, unit, reason, fleet):
     scale, offset = unit
     slips = find_unit_slips(fleet.with_columns(pl.col(column) * scale + offset))
     assert set(slips["reason"]) == {reason}
@@ -81,7 +81,7 @@ def count_slips(slips: pl.DataFrame, columns: tuple[str, ...], words: str) -> in
 @pytest.mark.parametrize(
     ("columns", "scale", "offset", "unit"), OTHER_UNITS, ids=lambda v: v if isinstance(v, str) else ""
 )
-def test_columns_in_another_unit_are_told_by_name(columns, scale, offset, unit, eighth):
+def test_slip_names_its_unit(columns, scale, offset, unit, eighth):
     recorded = eighth.filter(pl.any_horizontal(pl.col(columns).is_not_null()))
     slips = find_unit_slips(recorded.with_columns((pl.col(c) * scale + offset).round(3) for c in columns))
     right = count_slips(slips, columns, f"It fits {unit}.")
@@ -106,7 +106,7 @@ def _calibrated_kt(mach: pl.Expr) -> pl.Expr:
 @pytest.mark.parametrize(
     "knots", [_true_kt, _calibrated_kt, lambda mach: mach * 661.4786], ids=["true", "calibrated", "by sea level"]
 )
-def test_a_mach_number_in_knots_is_told_of_its_values(knots, eighth):
+def test_mach_in_knots_is_named(knots, eighth):
     """Out of range as it is, so the rows stay; but the likely unit is named."""
     wrong = eighth.with_columns(knots(pl.col("mach")).round(1).alias("mach"))
     slips = find_unit_slips(wrong)
@@ -114,7 +114,7 @@ def test_a_mach_number_in_knots_is_told_of_its_values(knots, eighth):
     assert count_slips(slips, ("mach",), "It fits knots.") > 0.97 * eighth["mach"].count()
 
 
-def test_a_mach_number_beyond_all_numbers_is_no_unit_and_one_in_knots_is_told_without_pressure(eighth):
+def test_absurd_mach_has_no_unit(eighth):
     far = pl.when(pl.int_range(pl.len()) % 2 == 0).then(1e300).otherwise(pl.int_range(pl.len()) * 1e90)
     assert find_unit_slips(eighth.with_columns(far.alias("mach"))).is_empty()
     alone = eighth.with_columns(pl.lit(None, pl.Float64).alias(c) for c in (*PSI, "altitude_ft"))
@@ -123,13 +123,13 @@ def test_a_mach_number_beyond_all_numbers_is_no_unit_and_one_in_knots_is_told_wi
 
 
 @pytest.mark.parametrize(("one", "other"), SWAPPED)
-def test_columns_in_each_others_place_are_told_by_name(one, other, eighth):
+def test_swapped_columns_are_named(one, other, eighth):
     recorded = eighth.drop_nulls([one, other])
     slips = find_unit_slips(recorded.with_columns(pl.col(one).alias(other), pl.col(other).alias(one)))
     assert count_slips(slips, (one, other), "change places") > LEAST * recorded.height
 
 
-def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(eighth):
+def test_swap_on_one_pack_is_found(eighth):
     swapped = pl.col("pack") == 1
     one, other = pl.col("hx_in_degc"), pl.col("hx_out_degc")
     wired = eighth.with_columns(
@@ -147,7 +147,7 @@ def test_one_pack_wired_the_wrong_way_round_is_told_and_the_other_stored(eighth)
     [("hx_out_degc", 25), ("hx_out_degc", 40), ("hx_in_degc", -40), ("hx_in_degc", 60), ("cc_in_degc", -15),
      ("cc_out_degc", 60), ("ram_out_degc", 50), ("pack_flow_lbpm", -30), ("cc_out_psia", 3), ("tat_degc", 15)],
 )  # fmt: skip
-def test_a_sensor_that_reads_too_much_is_no_slip_of_the_pen(column, off, eighth):
+def test_biased_sensor_is_no_slip(column, off, eighth):
     """On one pack, as sensors fail, or the one probe of the aircraft: stored, and judged flight by flight."""
     sick = pl.col("pack") == 1 if column != "tat_degc" else pl.lit(True)
     shifted = pl.when(sick).then(pl.col(column) + off).otherwise(column)
@@ -158,7 +158,7 @@ def test_a_sensor_that_reads_too_much_is_no_slip_of_the_pen(column, off, eighth)
 @pytest.mark.parametrize(
     ("column", "value"), [("tat_degc", 32.5), ("pack_flow_lbpm", 0.0), ("ram_door_pct", 0.5), ("hx_in_degc", 300.0)]
 )
-def test_a_sensor_that_stands_still_is_no_slip_of_the_pen(column, value, eighth):
+def test_stuck_sensor_is_no_slip(column, value, eighth):
     slips = find_unit_slips(eighth.with_columns(pl.when(pl.col(column).is_not_null()).then(value).alias(column)))
     assert slips.is_empty(), slips.group_by("column_name", "sentence").len()
 
@@ -177,7 +177,7 @@ HOT_EXIT = {"tat_degc": -20.0, "hx_in_degc": 30.0, "hx_out_degc": 15.0, "ram_out
 
 
 @pytest.mark.parametrize(("near", "reasons"), [(OFF, []), (HOT_EXIT, ["swapped_columns"])])
-def test_columns_change_places_only_where_both_are_recorded(near, reasons):
+def test_unrecorded_column_is_never_swapped(near, reasons):
     """A pack that is off says nothing of a sensor that nobody fitted."""
     rng, n = np.random.default_rng(0), 60
     read = {c: near[c] + rng.normal(0.0, 0.4, n) if c in near else pl.Series([None] * n, dtype=pl.Float64)
@@ -187,7 +187,7 @@ def test_columns_change_places_only_where_both_are_recorded(near, reasons):
 
 
 @pytest.mark.parametrize("far", [1.7e308, -1.7e308, 1e200, -1e155, np.inf])
-def test_a_number_far_from_any_reading_overflows_nothing(far):
+def test_absurd_number_overflows_nothing(far):
     """Warnings are errors here: NumPy would say so in the middle of a night."""
     rng, n = np.random.default_rng(0), 60
     read = {c: rng.normal(HOT_EXIT.get(c, 50.0), 0.4, n) for c in SIGNAL_NAMES}
