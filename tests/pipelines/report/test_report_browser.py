@@ -55,7 +55,7 @@ def ranked(page: Page) -> list[str]:
 
 
 @pytest.mark.parametrize("width", [390, 800, 1280])
-def test_the_page_fits_and_is_searched_and_sorted(opened, width):
+def test_page_fits_the_window(opened, width):
     page = opened(width)
     assert page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth") <= 0
     assert len(ranked(page)) == 4
@@ -83,7 +83,7 @@ def test_the_page_fits_and_is_searched_and_sorted(opened, width):
     assert page.evaluate("[...document.querySelectorAll('a')].every(a => document.querySelector(a.hash))")
 
 
-def test_the_chart_of_a_pack_zooms_into_dates_and_comes_back(opened):
+def test_chart_zooms_by_dates(opened):
     page = opened()
     chart = page.locator("#tracks .track").first
     chart.scroll_into_view_if_needed()
@@ -103,7 +103,7 @@ def test_the_chart_of_a_pack_zooms_into_dates_and_comes_back(opened):
     assert chart.evaluate(seen) == days
 
 
-def test_units_are_switched_and_never_mixed(opened):
+def test_units_switch_without_mixture(opened):
     page = opened()
     page.locator("summary", has_text="Model against data").click()
     si = page.locator("main").inner_text()
@@ -119,7 +119,7 @@ def test_units_are_switched_and_never_mixed(opened):
     assert [images.count() for images in shown] == [0, 3]
 
 
-def test_figures_fill_their_cards_on_any_ground(opened):
+def test_figures_suit_either_ground(opened):
     page = opened(dark=True)
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(22, 22, 22)"
     page.locator("summary", has_text="Model against data").click()
@@ -130,7 +130,7 @@ def test_figures_fill_their_cards_on_any_ground(opened):
     assert image.evaluate("img => getComputedStyle(img).filter") == "none"
 
 
-def test_paper_holds_what_needs_work_with_its_charts(opened, tmp_path):
+def test_paper_holds_urgent_packs(opened, tmp_path):
     page = opened(800)
     urgent = page.locator("#tracks > .cards > article").count()
     assert urgent
@@ -143,7 +143,7 @@ def test_paper_holds_what_needs_work_with_its_charts(opened, tmp_path):
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
 
 
-def test_the_pictures_of_the_documentation_are_made_of_a_home(sample_home, tmp_path):
+def test_documentation_pictures_are_drawn(sample_home, tmp_path):
     """As those in docs/images are; in a process of its own, for the browser of these tests holds this one's loop."""
     root = Path(__file__).parents[3]
     run, env = [sys.executable, "docs/pictures.py", sample_home, tmp_path], os.environ | {"PYTHONPATH": str(root)}

@@ -49,7 +49,7 @@ def policy(parsed) -> str:
     return next(v for v in parsed.values("content") if v.startswith("default-src"))
 
 
-def test_the_sample_page_is_sound_and_the_same_catalog_makes_the_same_bytes(read, sample_home, sample_page, tmp_path):
+def test_sample_page_is_sound(read, sample_home, sample_page, tmp_path):
     parsed = read(sample_page)
     sound(parsed)
     assert "://" not in sample_page
@@ -61,7 +61,7 @@ def test_the_sample_page_is_sound_and_the_same_catalog_makes_the_same_bytes(read
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == sample_page
 
 
-def test_every_pack_is_ranked_and_drawn_and_has_a_row_with_its_alerts_in_the_first_table(facts, read, sample_page):
+def test_every_pack_has_a_card(facts, read, sample_page):
     parsed = read(sample_page)
     packs = [pack_name(r) for r in pack_rows(facts)]
     assert len(packs) == 4
@@ -80,7 +80,7 @@ def pack_rows(facts: Facts) -> list[dict]:
     return [unit.values for unit in facts.rows if unit["component"] is None]
 
 
-def test_the_figures_are_drawn(sample_page):
+def test_figures_are_embedded(sample_page):
     figures = sample_page.split('id="figures"')[1].split("</section>")[0]
     assert figures.count("<figure") == 4
     images = re.findall(r'<img(?: class="(si|us)")? src="data:image/svg\+xml;base64,([^"]+)" alt="([^"]+)"', figures)
@@ -89,7 +89,7 @@ def test_the_figures_are_drawn(sample_page):
     assert all(alt.startswith("Figure 1") for _, _, alt in images)
 
 
-def test_a_pack_is_drawn_as_the_catalog_says_it_is(facts, sample_page):
+def test_chart_ends_at_present_state(facts, sample_page):
     """The last point of each chart is the pack's own with its interval; and whose the other is."""
     drawn = tracks(facts)
     for row in pack_rows(facts):
@@ -119,7 +119,7 @@ def with_outlook(facts: Facts, **values) -> Facts:
     return with_values(facts, **(outlook | values))
 
 
-def test_the_forecast_is_a_fan_from_each_components_own_last_loss(facts):
+def test_forecast_fans_out_from_loss(facts):
     left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0}
     for track in tracks(with_outlook(facts, **left)).values():
         now, loss = track["now"], track["own"]["y"][-1]
@@ -140,7 +140,7 @@ def test_the_forecast_is_a_fan_from_each_components_own_last_loss(facts):
         assert track["fan"]["level"] == max(25.0, track["cc"]["y"][-1])
 
 
-def test_a_frame_places_its_corners():
+def test_frame_places_its_corners():
     frame = Frame((0.0, 10.0), (-10.0, 40.0))
     assert (frame.across(0.0), frame.across(10.0), frame.down(40.0), frame.down(-10.0)) == (0.0, SIDE, 0.0, SIDE)
     assert frame.line([(5.0, 15.0)]) == "500,500"
@@ -148,7 +148,7 @@ def test_a_frame_places_its_corners():
     assert frame.area(area) == "0,0 1000,500 1000,1000 0,1000"
 
 
-def test_a_card_has_every_choice_and_fifty_aircraft_stay_below_five_megabytes(facts):
+def test_card_offers_every_choice(facts):
     cards = tonight_with_cards(facts, 0.15)["cards"]
     alerts = [a for c in cards for a in c["alerts"]]
     assert {a["alert_id"] for a in alerts} == set(facts["alerts"].filter(pl.col("closed_at").is_null())["alert_id"])
@@ -174,7 +174,7 @@ def test_a_card_has_every_choice_and_fifty_aircraft_stay_below_five_megabytes(fa
     assert len(whole.encode()) < 5_000_000
 
 
-def test_nine_of_ten_packs_lie_in_the_band_of_the_fleet(facts):
+def test_band_holds_nine_of_ten(facts):
     """A made fleet of forty packs, the k-th of which lost k per cent all the time."""
     days = pl.datetime_range(pl.datetime(2024, 1, 1), pl.datetime(2024, 6, 1), "1d", time_zone="UTC", eager=True)
     own = {"departed_at": days, "operator": "AAA", "pack": 1, "parameter": "hx_fouling"}
@@ -188,13 +188,13 @@ def test_nine_of_ten_packs_lie_in_the_band_of_the_fleet(facts):
 
 
 @pytest.mark.parametrize("units", ["si", "us"])
-def test_units_are_chosen_by_one_word(facts, units, read):
+def test_one_word_chooses_units(facts, units, read):
     html = page(facts, units)
     assert f'<html lang="en" data-units="{units}">' in html
     assert (html.count('class="si"') == html.count('class="us"')) > 0
 
 
-def test_an_empty_home_says_so(read, tmp_path):
+def test_empty_home_has_a_page(read, tmp_path):
     publish(tmp_path)
     write_report(tmp_path, tmp_path / "report.html")
     parsed = read((tmp_path / "report.html").read_text(encoding="utf-8"))
@@ -223,7 +223,7 @@ def first_flights(facts: Facts, n: int) -> Facts:
 
 
 @pytest.mark.parametrize("n", [1, 5])
-def test_a_few_flights_of_one_aircraft(facts, read, n):
+def test_few_flights_make_a_page(facts, read, n):
     parsed = read(page(first_flights(facts, n)))
     sound(parsed)
     text = parsed.text()
@@ -231,7 +231,7 @@ def test_a_few_flights_of_one_aircraft(facts, read, n):
     assert "Not calibrated yet" in text
 
 
-def test_a_hostile_fleet_stays_in_its_place(facts, read, hostile, sample_page):
+def test_hostile_names_stay_text(facts, read, hostile, sample_page):
     def poison(frame: pl.DataFrame) -> pl.DataFrame:
         codes = {"gap", "urgency", "parameter", "severity", "scope", "kind", "action", "component"}
         texts = [c for c, t in frame.schema.items() if t == pl.String and c not in codes]

@@ -15,7 +15,7 @@ def document(*parts) -> str:
     return page.partition("<body>")[2]
 
 
-def test_text_and_attributes_are_escaped(read, hostile):
+def test_hostile_text_is_escaped(read, hostile):
     cells = {"kind": "table", "columns": [hostile], "rows": [[hostile]]}
     page = read(document(hostile, cells, {"kind": "verbatim", "text": hostile}))
     assert set(page.tags) == {"h1", "p", "table", "thead", "tbody", "tr", "th", "td", "pre"}
@@ -24,7 +24,7 @@ def test_text_and_attributes_are_escaped(read, hostile):
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(words=OTHERS)
-def test_a_reader_sees_what_was_written(read, words):
+def test_text_reads_as_written(read, words):
     page = document({"kind": "verbatim", "text": words}, {"kind": "bullets", "items": [words]})
     for name in ("pre", "li"):
         within = read(page.partition(f"<{name}>")[2].partition(f"</{name}>")[0])
@@ -32,7 +32,7 @@ def test_a_reader_sees_what_was_written(read, words):
         assert within.tags == []
 
 
-def test_hidden_characters_show_markup_is_escaped_once_and_an_anchor_fits_an_address():
+def test_hidden_characters_show():
     assert "\u202e" not in printable("A\u202eB")
     assert "\x00" not in html_text("{a}", a="A\x00B")
     assert html_text("a & {b}", b=Markup("<b>")) == "a &amp; <b>"
@@ -42,7 +42,7 @@ def test_hidden_characters_show_markup_is_escaped_once_and_an_anchor_fits_an_add
     assert anchor('"><b>', 1) == "b-1"
 
 
-def test_a_quantity_is_said_in_both_systems_and_never_in_a_mixture():
+def test_quantity_has_both_systems():
     assert quantity(100.0, "°C") == Markup('<span class="si">100 °C</span><span class="us">212 °F</span>')
     flow = estimate(0.5, 0.1, "kg/s")
     assert "0.5000 kg/s (0.3355 to 0.6645)" in flow

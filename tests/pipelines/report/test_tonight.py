@@ -44,7 +44,7 @@ def test_dates_lie_on_an_axis(facts, days, mark):
     assert (due["mark"], due["low"], due["text"]) == (mark, mark, f"{day}")
 
 
-def test_a_bound_has_its_own_date(facts):
+def test_bound_has_its_own_date(facts):
     low, middle = dt.date(2024, 7, 1), dt.date(2024, 9, 1)
     due = first_screen(facts, due_on=middle, due_low_on=low, due_high_on=None, is_bound=True)["due"]
     assert (due["mark"], due["text"]) == (None, "after 2024-07-01")
@@ -59,13 +59,13 @@ def test_a_bound_has_its_own_date(facts):
         ("in_50", None, "\N{EN DASH}"),
     ],
 )
-def test_the_chance_has_its_day(facts, kind, chance, text):
+def test_chance_has_its_day(facts, kind, chance, text):
     check = {"check_name": "A-check", "until_on": dt.date(2024, 7, 7)}
     row = first_screen(facts, chance_kind=kind, chance=chance, message_at=None, **check)
     assert row["chance_text"] == text
 
 
-def test_work_since_the_last_flight_is_named(facts):
+def test_recent_work_is_named(facts):
     row = first_screen(facts, work_action="CLEANED", work_on=dt.date(2024, 7, 1))
     assert "cleaned 2024-07-01, no flight since" in row["notes"]
 
@@ -86,7 +86,7 @@ CHOICES = [
         ("HX_LOW_MARGIN", "Check target (ATA 21-53, rigging)", "Check target", "90 min, 2 people"),
     ],
 )  # fmt: skip
-def test_the_cost_is_the_actions_own(sample_home, facts, diagnosis, action, to_do, work):
+def test_cost_is_the_actions_own(sample_home, facts, diagnosis, action, to_do, work):
     alert = {"alert_id": "a", "alert_component": "HX", "diagnosis": diagnosis, "recommended_action": action}
     first = facts.rows[0]
     values = first.values | alert | {"urgency": "act", "choices": CHOICES}
@@ -104,7 +104,7 @@ def test_without_costs_wear_is_washed(sample_home, facts):
 FOULING = {"diagnosis": "HX_FOULING", "component": "HX", "recommended_action": "Wash", "choice": "wash"}
 
 
-def test_each_diagnosis_has_the_work_of_its_action(tmp_path):
+def test_each_diagnosis_has_its_work(tmp_path):
     tasks = read_tasks(tmp_path)
     for d in DIAGNOSES.values():
         alert = {"diagnosis": d.code, "component": d.component, "recommended_action": d.action, "choice": None}
@@ -115,7 +115,7 @@ def test_each_diagnosis_has_the_work_of_its_action(tmp_path):
         assert all((work.tools, work.part, work.zone, work.task))
 
 
-def test_a_declared_component_has_the_work_of_its_declaration_and_no_more(tmp_path):
+def test_declared_component_has_declared_work(tmp_path):
     cac = components()["CAC"]
     alert = {"diagnosis": cac.diagnosis, "component": "CAC", "recommended_action": cac.action, "choice": None}
     assert work_text(read_tasks(tmp_path), alert) == f"Replace: {cac.action}"
@@ -124,7 +124,7 @@ def test_a_declared_component_has_the_work_of_its_declaration_and_no_more(tmp_pa
     assert Task().text() == ""
 
 
-def test_a_home_replaces_single_values_and_a_diagnosis_takes_the_rest_of_its_component(tmp_path):
+def test_home_replaces_single_values(tmp_path):
     (tmp_path / "tasks.toml").write_text('[HX.wash]\nminutes = 95\n[HX_SUDDEN_CLOG.inspect]\nzone = "193"\n')
     tasks = read_tasks(tmp_path)
     assert work_text(tasks, FOULING).startswith("Wash: 95 min, 2 people; task 21-52-00-100-801; zone 191/192; part: ")
@@ -150,7 +150,7 @@ def test_a_home_replaces_single_values_and_a_diagnosis_takes_the_rest_of_its_com
         ("[HX", "can't be read: no TOML"),
     ],
 )
-def test_what_is_wrong_is_named_with_file_and_key(tmp_path, text, says):
+def test_wrong_task_is_named(tmp_path, text, says):
     (tmp_path / "tasks.toml").write_text(text)
     with pytest.raises(StoreError) as error:
         read_tasks(tmp_path)
@@ -158,7 +158,7 @@ def test_what_is_wrong_is_named_with_file_and_key(tmp_path, text, says):
     assert says in str(error.value)
 
 
-def test_one_action_the_cheapest_where_wear_is_the_cause_else_a_look(tmp_path):
+def test_action_fits_the_alert(tmp_path):
     tasks = read_tasks(tmp_path)
     own = tasks_of(tasks, FOULING)
     assert action_of(FOULING, own) == "wash"
@@ -171,7 +171,7 @@ def test_one_action_the_cheapest_where_wear_is_the_cause_else_a_look(tmp_path):
     assert set(ACTIONS) == {"inspect", "wash", "replace", "defer"}
 
 
-def test_at_the_limits_in_service_the_alerts_are_those_of_the_catalog(sample_home):
+def test_service_limits_give_catalog_alerts(sample_home):
     by_diagnosis = {row["diagnosis"]: row for row in thresholds(sample_home) if row["in_service"]}
     assert set(by_diagnosis) == set(VALUES)
     with connect(sample_home) as con:
@@ -183,7 +183,7 @@ def test_at_the_limits_in_service_the_alerts_are_those_of_the_catalog(sample_hom
         assert row["false"] == rate["n_judged"] - rate["n_right"]
 
 
-def test_why_there_is_no_estimate_is_written_in_the_words_of_the_pack_or_of_the_component():
+def test_missing_estimate_has_its_reason():
     row = {"operator": "AQX", "tail": "LX-AAA", "pack": 1, "urgency": "unknown", "missing_since": None}
     unit = {"name": "oil cooler", "component": "OIL"}
     pack = {"component": None}
