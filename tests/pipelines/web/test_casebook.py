@@ -65,7 +65,7 @@ def say(client: Client, alert: str, kind: str, line: int = 0, **fields: str):
     return client.post(f"/case/{alert}", data={"kind": kind, "seen": str(line)} | fields)
 
 
-def test_who_has_no_role_sees_nothing_and_a_viewer_changes_nothing(page, home):
+def test_stranger_sees_nothing(page, home):
     client = page("Eve")
     for path in ("/", "/case/wear", "/?all", "/docs"):
         answer = client.get(path)
@@ -78,7 +78,7 @@ def test_who_has_no_role_sees_nothing_and_a_viewer_changes_nothing(page, home):
     assert history_of(home, find_case(home, "wear")) == []
 
 
-def test_an_engineer_takes_a_case_through_its_life(page, home):
+def test_engineer_closes_a_case(page, home):
     client = page("Eng")
     assert "T-1 pack 1 (left)" in client.get("/").text
     assert "acknowledged" in say(client, "wear", "acknowledge").text
@@ -93,7 +93,7 @@ def test_an_engineer_takes_a_case_through_its_life(page, home):
     assert client.post("/logout").status_code == 404
 
 
-def test_changes_are_named_in_a_line_and_told_when_opened(fresh_home, monkeypatch):
+def test_changes_fold_into_lines(fresh_home, monkeypatch):
     """The packs in need of attention stay on the first screen, however much changed."""
     gaps = [{"operator": "AAA", "tail": f"T-{n}", "gap": "never_heard", "n_flights": None} for n in range(9)]
     monkeypatch.setattr("pipelines.web.casebook.changes_since", lambda _: Digest("then", "now", {"gap": gaps}))
@@ -104,7 +104,7 @@ def test_changes_are_named_in_a_line_and_told_when_opened(fresh_home, monkeypatc
     assert opened.count("<li><b>AAA T-") == 9
 
 
-def test_an_operators_people_see_and_change_their_own_alone(page, home):
+def test_operator_sees_own_cases(page, home):
     client = page("Own")
     assert "BBB" not in client.get("/?all").text
     other = page("Else").get("/").text
@@ -120,7 +120,7 @@ def test_an_operators_people_see_and_change_their_own_alone(page, home):
     assert "BBB" in page("Eng").get("/").text
 
 
-def test_the_shift_starts_with_the_table_of_the_report_and_links_lead_to_cases(page):
+def test_first_table_links_to_cases(page):
     """Bars are drawn though the page allows no style of an element; another operator's people have no such row."""
     first = page("Eng").get("/").text.partition("<table")[2].partition("</table>")[0]
     links = [("/case/wear", "T-1 pack 1 (left)"), ("/case/other", "T-9 pack 1 (left)")]
@@ -131,7 +131,7 @@ def test_the_shift_starts_with_the_table_of_the_report_and_links_lead_to_cases(p
         assert re.findall(r'(?:src|href|action)="(?!/|data:)', page("Eng").get(path).text) == [], "no other machine"
 
 
-def test_a_night_shows_at_once(tmp_path):
+def test_night_shows_at_once(tmp_path):
     home = case_home(tmp_path / "home")
     client = Client(application(home, LOCAL, lambda request: Person("Eng")))
     assert "20\N{NO-BREAK SPACE}% (18 to 22)" in client.get("/").text
@@ -152,7 +152,7 @@ def with_withdrawn(fresh_home):
 
 
 @pytest.mark.parametrize("name", ["first", "last"])
-def test_the_link_of_a_withdrawn_case_answers_when_and_why(with_withdrawn, name):
+def test_withdrawn_link_still_answers(with_withdrawn, name):
     client = Client(application(with_withdrawn, LOCAL, lambda request: Person("Eng")))
     answer = client.get(f"/case/{name}")
     assert answer.status_code == 200
@@ -161,7 +161,7 @@ def test_the_link_of_a_withdrawn_case_answers_when_and_why(with_withdrawn, name)
     assert "look at it" in answer.text
 
 
-def test_a_withdrawn_case_takes_no_line_and_is_shown_to_its_own_people_alone(with_withdrawn):
+def test_withdrawn_case_takes_no_line(with_withdrawn):
     lines = CaseLog(with_withdrawn).entries().height
     client = Client(application(with_withdrawn, LOCAL, lambda request: Person("Eng")))
     assert say(client, "first", "acknowledge", lines).status_code == 409
@@ -170,7 +170,7 @@ def test_a_withdrawn_case_takes_no_line_and_is_shown_to_its_own_people_alone(wit
     assert other.get("/case/first").status_code == 404
 
 
-def test_what_comes_from_another_page_changes_nothing(page, home):
+def test_foreign_form_changes_nothing(page, home):
     client = page("Eng")
     good = {"kind": "acknowledge", "seen": "0"}
     assert client.post("/case/wear", data=good, headers={"origin": "http://evil.example"}).status_code == 403
@@ -179,7 +179,7 @@ def test_what_comes_from_another_page_changes_nothing(page, home):
     assert client.post("/case/wear", data=good).status_code == 200
 
 
-def test_with_a_token_one_signs_in_and_out_and_lines_bear_the_accounts_name(home):
+def test_token_opens_a_session(home):
     (home / FILE).unlink(missing_ok=True)
     token = LocalToken(Person("ada"))
     client = Client(application(home, LOCAL, token))
@@ -192,7 +192,7 @@ def test_with_a_token_one_signs_in_and_out_and_lines_bear_the_accounts_name(home
     assert client.get("/").status_code == 401
 
 
-def test_notes_are_text_wherever_they_stand(page):
+def test_notes_are_escaped(page):
     client = page("Eng")
     say(client, "wear", "acknowledge", note=HOSTILE)
     say(client, "wear", "assign", 1, assignee='"><img src=x>')
@@ -209,7 +209,7 @@ def test_notes_are_text_wherever_they_stand(page):
         assert answer.headers["x-content-type-options"] == "nosniff"
 
 
-def test_the_second_of_two_is_told_who_was_first(page, home):
+def test_late_change_names_the_first(page, home):
     one, two = page("Eng"), page("Own")
     assert say(one, "wear", "assign", 0, assignee="Eng").status_code == 200
     late = say(two, "wear", "assign", 0, assignee="Own")
@@ -230,7 +230,7 @@ def test_the_second_of_two_is_told_who_was_first(page, home):
         ("acknowledge", {"note": "x" * 70_000}, 413),
     ],
 )
-def test_what_makes_no_sense_is_told_and_not_written(page, home, kind, fields, status):
+def test_senseless_form_is_refused(page, home, kind, fields, status):
     assert say(page("Eng"), "wear", kind, **({"seen": 0} | fields)).status_code == status
     assert history_of(home, find_case(home, "wear")) == []
 
@@ -244,7 +244,7 @@ FIELDS = {"close": ("finding", "action", "on", "reference"), "mute": ("until", "
 SOUND = {"seen": "7", "note": "n", "assignee": "Bo", "until": "2024-06-19", "finding": "clean", "action": "inspected"}
 
 
-def test_no_value_of_a_form_and_no_address_breaks_the_page(page, home):
+def test_odd_form_breaks_nothing(page, home):
     client = page("Eng")
     for (kind, fields), value in itertools.product(FIELDS.items(), VALUES):
         for field in fields:
@@ -276,14 +276,14 @@ PART = b'--b\r\nContent-Disposition: form-data; name="kind"'
         ("\xff", b"\x00"),
     ],
 )
-def test_no_body_breaks_the_page(page, home, kind, body):
+def test_odd_body_breaks_nothing(page, home, kind, body):
     client = page("Eng")
     answer = client.post("/case/wear", content=body, headers={b"content-type": kind.encode("latin-1")})
     assert answer.status_code == 400
     assert history_of(home, find_case(home, "wear")) == []
 
 
-def test_a_home_that_can_not_be_read_is_told_in_one_line(fresh_home):
+def test_damaged_home_gets_one_line(fresh_home):
     client = Client(application(fresh_home, LOCAL, lambda request: Person("Eng")))
     assert say(client, "wear", "acknowledge").status_code == 200
     for what in (FILE, CATALOG):
@@ -295,7 +295,7 @@ def test_a_home_that_can_not_be_read_is_told_in_one_line(fresh_home):
     assert client.get("/case/wear").status_code == 503
 
 
-def test_many_who_come_first_at_once_are_all_answered(fresh_home):
+def test_simultaneous_first_readers_get_answers(fresh_home):
     """Six of a hundred got DuckDB's locked configuration."""
     token = LocalToken(Person("ada"))
     app = application(fresh_home, LOCAL, token)

@@ -57,7 +57,7 @@ def enter(browser: Browser, address: str):
     assert [s for s in noted if "409" not in s] == []
 
 
-def test_the_printed_address_or_its_token_signs_in_and_a_button_out(browser, home):
+def test_browser_signs_in_with_token(browser, home):
     token = LocalToken(Person("ada"))
     with served(application(home, LOCAL, token)) as place:
         address = f"{place}/"
@@ -78,7 +78,7 @@ def test_the_printed_address_or_its_token_signs_in_and_a_button_out(browser, hom
         expect(page.get_by_role("status")).to_contain_text("Signed out")
 
 
-def test_three_people_work_at_once_and_the_second_is_told(enter, home):
+def test_three_people_work_at_once(enter, home):
     ada, bo, vi = (enter(name) for name in ("Ada", "Bo", "Vi"))
     for page in (ada, bo, vi):
         page.click("a[href='/case/wear']")
@@ -101,7 +101,7 @@ def test_three_people_work_at_once_and_the_second_is_told(enter, home):
 
 
 @pytest.mark.parametrize("width", [390, 800, 1280])
-def test_it_fits_the_window(enter, width):
+def test_page_fits_the_window(enter, width):
     page = enter("Ada", width)
     for path in ("", "case/clog"):
         if path:

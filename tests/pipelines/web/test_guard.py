@@ -50,12 +50,12 @@ OWN = {"origin": ADDRESS}
         ("POST", "/", {"origin": "https://hdt.example.com", "host": "hdt.example.com"}, 200),
     ],
 )
-def test_turned_away_or_let_through(method, path, headers, status):
+def test_guard_judges_each_request(method, path, headers, status):
     body = b"x" * 10 if method == "POST" else b""
     assert Client(GUARD).ask(method, path, headers=headers, content=body).status_code == status
 
 
-def test_every_answer_has_the_headers_and_a_body_of_no_length_is_refused():
+def test_every_answer_has_headers():
     async def chunks():
         yield b"x"
 
@@ -69,7 +69,7 @@ def test_every_answer_has_the_headers_and_a_body_of_no_length_is_refused():
 @pytest.mark.parametrize(
     ("origin", "opens"), [(b"http://127.0.0.1:3000", True), (b"http://evil.example", False), (None, False)]
 )
-def test_no_socket_opens_to_another_page(origin, opens):
+def test_foreign_page_opens_no_socket(origin, opens):
     replies = []
 
     async def send(message) -> None:

@@ -85,7 +85,7 @@ CHANGES = {
 }
 
 
-def test_without_being_asked_the_page_changes_nothing(sample_landing, home):
+def test_page_changes_nothing_unasked(sample_landing, home):
     before = runs(home)
     with opened(sample_landing, home) as (plain_port, token):
         assert token == ""
@@ -103,7 +103,7 @@ def test_without_being_asked_the_page_changes_nothing(sample_landing, home):
     assert runs(home) == before
 
 
-def test_a_run_goes_only_for_who_brought_the_token(page, home):
+def test_deletion_needs_the_token(page, home):
     (port, token), before = page, runs(home)
     delete = deletion(home)
     searched = f"/graphql?query={delete.replace(' ', '%20').replace(chr(34), '%22')}"
@@ -122,7 +122,7 @@ def test_a_run_goes_only_for_who_brought_the_token(page, home):
     assert over_http(port, "POST", "/graphql", QUERY, **own)[0] == 401
 
 
-def test_no_socket_opens_to_another_page_and_none_changes_anything(page, home):
+def test_socket_changes_nothing(page, home):
     client = pytest.importorskip("websockets.sync.client")
     (port, token), before = page, runs(home)
     where = {"uri": f"ws://127.0.0.1:{port}/graphql", "subprotocols": ["graphql-ws"]}
@@ -140,7 +140,7 @@ def test_no_socket_opens_to_another_page_and_none_changes_anything(page, home):
 
 
 @NEEDS_CHROMIUM
-def test_the_page_works_in_a_browser(page, home, tmp_path):
+def test_page_works_in_browser(page, home, tmp_path):
     port, token = page
     options = ["--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}"]
     address = f"http://127.0.0.1:{port}/runs?token={token}"  # after 30 s of the page's own time
@@ -150,7 +150,7 @@ def test_the_page_works_in_a_browser(page, home, tmp_path):
     assert any(run[:8] in html for run in runs(home)), html[-2000:]
 
 
-def test_a_taken_port_is_said_in_one_line(page, home, sample_landing):
+def test_taken_port_gets_one_line(page, home, sample_landing):
     port, _ = page
     words = ("ui", "--landing", str(sample_landing), "--home", str(home), "--port", str(port), "--no-daemon")
     command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]

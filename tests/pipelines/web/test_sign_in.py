@@ -26,7 +26,7 @@ def by_token(token: LocalToken) -> Client:
     return client
 
 
-def test_the_token_becomes_a_cookie_of_one_page_that_no_script_and_no_other_site_gets():
+def test_token_becomes_a_cookie():
     token = LocalToken(ADA, https=True)
     client = Client(Guard(page, LOCAL, token))
     assert client.get("/").status_code == 401
@@ -42,7 +42,7 @@ def test_the_token_becomes_a_cookie_of_one_page_that_no_script_and_no_other_site
         assert answer.headers["set-cookie"].partition("=")[0] == f"hdt_session{port}"
 
 
-def test_the_token_changes_with_each_start_and_ends_what_was_open():
+def test_each_start_has_new_token():
     before, now = LocalToken(ADA), LocalToken(ADA)
     client = by_token(before)
     later = Client(Guard(page, LOCAL, now))
@@ -52,7 +52,7 @@ def test_the_token_changes_with_each_start_and_ends_what_was_open():
     assert len(now.token) >= 43
 
 
-def test_a_cookie_is_dead_after_signing_out_wherever_it_was_copied_to():
+def test_signing_out_ends_every_copy():
     token = LocalToken(ADA)
     client, thief, other = by_token(token), Client(Guard(page, LOCAL, token)), by_token(token)
     thief.cookies.update(client.cookies)
@@ -63,7 +63,7 @@ def test_a_cookie_is_dead_after_signing_out_wherever_it_was_copied_to():
     assert [c.get("/").status_code for c in (client, thief, other)] == [401, 401, 200]
 
 
-def test_a_session_ends_by_itself(monkeypatch):
+def test_session_ends_by_itself(monkeypatch):
     token = LocalToken(ADA)
     client = by_token(token)
     assert client.get("/").text == "for Ada"
@@ -72,7 +72,7 @@ def test_a_session_ends_by_itself(monkeypatch):
 
 
 @pytest.mark.parametrize("value", ["", "x", "é", "\x00", "a" * 5000, "%ff%00", "None"])
-def test_no_other_token_or_cookie_and_no_header_opens(value):
+def test_no_other_secret_opens(value):
     client = Client(Guard(page, LOCAL, LocalToken(ADA)))
     assert client.get("/", params={"token": value}).status_code == 403
     raw = value.encode("utf-8")
@@ -80,7 +80,7 @@ def test_no_other_token_or_cookie_and_no_header_opens(value):
     assert client.get("/", headers={"x-remote-user": "Ada"}).status_code == 401
 
 
-def test_asking_without_a_session_is_never_locked_out_and_leaves_nothing_behind():
+def test_guesses_lock_nobody_out():
     """The hand-made sign-in kept 58 kB of each request and shut everybody behind a proxy out after fifty."""
     token = LocalToken(ADA)
     client = Client(Guard(page, LOCAL, token))
@@ -98,7 +98,7 @@ def test_asking_without_a_session_is_never_locked_out_and_leaves_nothing_behind(
     assert client.get(f"/?token={token.token}").status_code == 303
 
 
-def test_sessions_are_few_and_the_oldest_gives_way():
+def test_oldest_session_gives_way():
     token = LocalToken(ADA)
     first, second = by_token(token), by_token(token)
     for _ in range(SESSIONS - 1):
@@ -120,14 +120,14 @@ def behind(tmp_path):
 
 
 @pytest.mark.parametrize("address", ["10.1.0.7", "::1", "::ffff:10.1.0.7"])
-def test_the_proxys_header_says_who_asks(behind, address):
+def test_proxy_header_names_the_person(behind, address):
     assert behind(address, b"Ada").text == "for Ada"
     assert behind(address, "Jörg".encode()).text == "for Jörg"
     assert behind(address, "Jörg".encode("latin-1")).text == "for Jörg"
 
 
 @pytest.mark.parametrize("address", ["10.1.1.7", "127.0.0.1", "::2", "", "unix", "::ffff:10.2.0.7", "10.1.0.7.evil"])
-def test_from_anywhere_else_the_header_opens_nothing(behind, address):
+def test_foreign_header_opens_nothing(behind, address):
     answer = behind(address, b"Ada")
     assert answer.status_code == 403
     assert "the site&#39;s proxy only" in answer.text
@@ -136,13 +136,13 @@ def test_from_anywhere_else_the_header_opens_nothing(behind, address):
 @pytest.mark.parametrize(
     ("values", "status"), [((), 401), ((b"",), 401), ((b"Ada", b"Ada"), 401), ((b"ada",), 403), ((b"Eve",), 403)]
 )
-def test_the_proxy_names_one_who_has_a_role(behind, values, status):
+def test_named_person_needs_a_role(behind, values, status):
     assert behind("10.1.0.7", *values).status_code == status
     assert behind("10.1.0.7", b"Ada", name=b"x_remote_user").status_code == 401
     assert behind("10.1.0.7", b"Ada", name=b"x-forwarded-for").status_code == 401
 
 
-def test_a_role_counts_from_the_next_request_and_a_broken_file_lets_nobody_in(behind, tmp_path):
+def test_role_counts_from_next_request(behind, tmp_path):
     (tmp_path / FILE).write_text('[people]\nEve = "viewer"\n')
     assert [behind("10.1.0.7", who).status_code for who in (b"Ada", b"Eve")] == [403, 200]
     (tmp_path / FILE).write_text("[people")
@@ -150,7 +150,7 @@ def test_a_role_counts_from_the_next_request_and_a_broken_file_lets_nobody_in(be
     assert (answer.status_code, "no TOML" in answer.text) == (503, True)
 
 
-def test_a_role_or_a_table_of_role_and_operators(tmp_path):
+def test_roles_file_names_people(tmp_path):
     (tmp_path / FILE).write_text("""
 local = "viewer"
 [people]
@@ -164,7 +164,7 @@ local = "viewer"
     assert [Person("a", operators=of).may_read("AQX") for of in ((), ("AQX",), ("BZR",))] == [True, True, False]
 
 
-def test_without_a_file_the_token_is_an_engineers_and_nobody_has_a_name(tmp_path, monkeypatch):
+def test_home_without_roles_names_nobody(tmp_path, monkeypatch):
     monkeypatch.setenv("USER", "ada")
     assert read_people(tmp_path) == {}
     assert local_person(tmp_path) == Person("ada", "engineer")
@@ -190,7 +190,7 @@ def test_without_a_file_the_token_is_an_engineers_and_nobody_has_a_name(tmp_path
         ("\xff", "can't be read"),
     ],
 )
-def test_what_is_wrong_is_named_in_one_line(tmp_path, text, named):
+def test_wrong_role_is_named(tmp_path, text, named):
     (tmp_path / FILE).write_bytes(text.encode("latin-1"))
     with pytest.raises(StoreError, match=FILE) as error:
         read_people(tmp_path)
