@@ -102,7 +102,7 @@ def test_history_follows_airframe(renamed, under_one_name):
     assert_same(tables(renamed[0]), under_one_name)
 
 
-def test_ranking_has_airframe_once_by_present_name(renamed):
+def test_ranking_has_the_present_name(renamed):
     home, name = renamed
 
     rows = query(home, "select operator, tail, msn, pack from fleet_ranking order by pack")
@@ -160,7 +160,7 @@ def test_new_operator_gets_state_at_handover(leased_exports):
         assert present.execute(first).fetchall() == former.execute(last).fetchall()
 
 
-def test_former_operator_gets_nothing_of_the_present_one(leased_exports):
+def test_former_operator_gets_nothing_later(leased_exports):
     with duckdb.connect(str(leased_exports[FIRST[0]]), read_only=True) as con:
         ((last,),) = con.execute("select max(landed_at) from flights").fetchall()
         tables = con.execute(
@@ -180,7 +180,7 @@ def test_former_operator_gets_nothing_of_the_present_one(leased_exports):
         ((line(FIRST, msn="49999").replace("2019-06-01", "2024-03-08"),), "flights_before_delivery"),
     ],
 )
-def test_odd_line_is_told(sample_home, tmp_path, lines, reason):
+def test_odd_line_is_noted(sample_home, tmp_path, lines, reason):
     keep_base(sample_home, tmp_path / "home")
     deliver(tmp_path / "landing")
     fleet(tmp_path / "landing", *lines)

@@ -56,7 +56,7 @@ def names(home: Path) -> list[str]:
     return list(Ledger(home).snapshots())
 
 
-def test_each_night_says_what_it_said_and_its_reader_reaches_nothing_else(four):
+def test_each_night_answers_as_then(four):
     assert [snapshots_of(connect_as_of(four, name)) for name in names(four)] == list(range(NIGHTS))
     assert snapshots_of(connect_as_of(four, max(names(four))[:10])) == NIGHTS - 1
     assert snapshots_of(connect(four)) == NIGHTS - 1
@@ -68,7 +68,7 @@ def test_each_night_says_what_it_said_and_its_reader_reaches_nothing_else(four):
         find_night({}, "2024-01-01")
 
 
-def test_the_last_night_by_a_day_or_an_hour_is_meant():
+def test_day_or_hour_names_night():
     nights = {name: {} for name in ("2024-03-01T02:00:00", "2024-03-01T23:00:00", "2024-03-03T02:00:00")}
     for day, meant in (("2024-03-01", 1), ("2024-03-02", 1), ("2024-03-01T02", 0), ("2025", 2), ("2024-03-03", 2),
                        ("2024-03-01 23:30", 1), ("2024-03-01T23:00:00+00:00", 1)):  # fmt: skip
@@ -76,12 +76,12 @@ def test_the_last_night_by_a_day_or_an_hour_is_meant():
 
 
 @pytest.mark.parametrize("text", ["yesterday", "26.06.2024", "06/26/2024", "2024-6-1", "2024-03-01T02:00+02:00", ""])
-def test_what_is_no_day_and_no_time_in_utc_finds_no_night(text):
+def test_odd_time_names_no_night(text):
     with pytest.raises(StoreError, match="give a day"):
         find_night({"2001-01-01T02:00:00": {}}, text)
 
 
-def test_what_is_beyond_its_time_goes_and_what_is_held_stays(home):
+def test_retention_spares_named_nights(home):
     store, ledger, before = Store(home), Ledger(home), names(home)
     remove_expired(store, ledger, Retention(keep_days=0, hold=(before[1],)))
     assert names(home) == [before[1], before[-1]]  # the last has not been replaced
@@ -96,7 +96,7 @@ def test_what_is_beyond_its_time_goes_and_what_is_held_stays(home):
     assert snapshots_of(connect(home)) == 9
 
 
-def test_a_long_log_is_read_from_a_checkpoint_on(home):
+def test_long_log_gets_a_checkpoint(home):
     store = Store(home)
     for n in range(25):
         store.merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(100 + n))
@@ -106,7 +106,7 @@ def test_a_long_log_is_read_from_a_checkpoint_on(home):
     assert store.read_table("raw_flights").equals(before)
 
 
-def test_a_file_of_an_earlier_night_that_is_damaged_is_told(home):
+def test_damaged_night_is_refused(home):
     first = names(home)[0]
     (file,) = Store(home).snapshot(Ledger(home).snapshots()[first])["raw_flights"][1][:1]
     (home / "tables" / file).write_bytes(b"PAR1")
@@ -122,7 +122,7 @@ def at(monkeypatch: pytest.MonkeyPatch, years: int) -> None:
 
 
 @pytest.mark.parametrize("years", [10, -5])
-def test_a_clock_that_jumps_costs_no_night(home, monkeypatch, years):
+def test_clock_jump_costs_no_night(home, monkeypatch, years):
     before, store = names(home), Store(home)
     at(monkeypatch, years)
     for _ in range(2):
@@ -135,7 +135,7 @@ def test_a_clock_that_jumps_costs_no_night(home, monkeypatch, years):
     assert Ledger(home).last_night()[:4] == f"{datetime.now(UTC):%Y}"
 
 
-def test_the_catalog_of_another_home_does_not_answer(home, tmp_path):
+def test_foreign_catalog_is_refused(home, tmp_path):
     other = Path(shutil.copytree(home, tmp_path / "other"))
     for _ in range(2):
         publish(other)
@@ -144,7 +144,7 @@ def test_the_catalog_of_another_home_does_not_answer(home, tmp_path):
         connect(home)
 
 
-def test_a_home_of_an_earlier_version_answers(home):
+def test_home_of_earlier_version_answers(home):
     """Its nights have no numbers, and its catalog names none."""
     with closing(sqlite3.connect(home / FILE)) as con, con:
         con.execute("update night_versions set night = substr(night, 1, instr(night, '#') - 1)")
@@ -155,7 +155,7 @@ def test_a_home_of_an_earlier_version_answers(home):
     assert snapshots_of(connect(home)) == NIGHTS - 1
 
 
-def test_an_earlier_catalog_is_a_fault(home, tmp_path):
+def test_earlier_catalog_is_a_fault(home, tmp_path):
     publish(home)
     earlier = shutil.copyfile(home / CATALOG, tmp_path / "earlier")
     publish(home)
@@ -164,7 +164,7 @@ def test_an_earlier_catalog_is_a_fault(home, tmp_path):
     assert find_catalog_fault(home) == "it was not that of the last night"
 
 
-def test_tables_newer_than_the_catalog_are_a_fault(home):
+def test_newer_tables_are_a_fault(home):
     publish(home)
     Store(home).merge("raw_flights", {AIRCRAFT: [FLIGHT]}, flight(9))
     assert find_catalog_fault(home) == "it was older than the tables"

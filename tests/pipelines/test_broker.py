@@ -44,7 +44,7 @@ def run_of(task: str | None) -> dg.DagsterRun:
         (None, [(AT_WORK, 100, RUNNING)] * 3),
     ],
 )
-def test_a_run_that_nobody_is_at_is_lost_after_a_while_in_which_workers_answer(watched_launcher, task, looks):
+def test_run_without_worker_is_lost(watched_launcher, task, looks):
     """A run that was never sent out is not the workers'."""
     (launcher, workers), run = watched_launcher, run_of(task)
     for answer, later_s, status in looks:
@@ -54,14 +54,14 @@ def test_a_run_that_nobody_is_at_is_lost_after_a_while_in_which_workers_answer(w
     assert health.msg == ("no worker has been at it for 61 s" if status == LOST else None)
 
 
-def test_workers_are_asked_once_for_all_runs_of_a_look(watched_launcher):
+def test_one_look_asks_workers_once(watched_launcher):
     launcher, workers = watched_launcher
     for answer in (AT_WORK, RuntimeError("asked again")):
         workers["answer"] = answer
         assert launcher.check_run_worker_health(run_of("task-1")).status == RUNNING
 
 
-def test_what_is_sent_is_acknowledged_when_it_begins_and_asks_for_no_result(watched_launcher):
+def test_task_is_acknowledged_when_begun(watched_launcher):
     launcher, _ = watched_launcher
     conf = launcher.celery.conf
     assert (conf.task_acks_late, conf.task_ignore_result, conf.result_backend) == (False, True, None)

@@ -73,7 +73,7 @@ def say(home: Path, *words: object) -> None:
 
 
 @pytest.mark.parametrize("change", [new_rules, another_aircraft, redelivered])
-def test_a_case_keeps_its_owner_through_nights(own_home, tmp_path, change: Callable[[Path, Path], None]) -> None:
+def test_case_keeps_owner_through_nights(own_home, tmp_path, change: Callable[[Path, Path], None]) -> None:
     landing, home = own_home
     before, numbers = cases(home), orders(home, tmp_path)
     for name in before:
@@ -94,7 +94,7 @@ def test_a_case_keeps_its_owner_through_nights(own_home, tmp_path, change: Calla
     assert moved or change is another_aircraft
 
 
-def test_the_link_of_a_case_that_a_night_withdrew_answers(own_home) -> None:
+def test_link_of_withdrawn_case_answers(own_home) -> None:
     landing, home = own_home
     before = cases(home)
     no_rule(landing, home)

@@ -45,7 +45,7 @@ def history(home: Path, alert_id: str = "wear") -> list[dict]:
     return history_of(home, find_case(home, alert_id))
 
 
-def test_a_change_is_seen_at_once(home):
+def test_change_shows_at_once(home):
     assert {c["alert_id"]: c["state"] for c in list_cases(home, "true")} == {
         "wear": "new", "clog": "new", "gone": "closed", "other": "new",
     }  # fmt: skip
@@ -60,7 +60,7 @@ def test_a_change_is_seen_at_once(home):
     assert [h["kind"] for h in history(home)] == ["acknowledge", "assign", "watch", "watch", "unwatch"]
 
 
-def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
+def test_muted_case_returns_when_worse(home):
     change(home, "wear", "mute", "Ada", until=SOON, note="parts on order")
     assert state(home) == "muted"
     for more, now in ((0.06, "worsened"), (0.04, "muted")):
@@ -77,7 +77,7 @@ def test_a_muted_case_comes_back_by_its_date_or_when_it_is_worse(home):
         ("fouled", "cleaned", "closed", "estimates the part anew"),
     ],
 )
-def test_a_finding_answers_the_case(home, finding, action, state_is, message):
+def test_finding_answers_the_case(home, finding, action, state_is, message):
     day = START.date() + dt.timedelta(days=40)
     reply = change(home, "wear", "close", "Ada", finding=finding, action=action, on=str(day), note="ram face clean")
     assert message in reply
@@ -98,7 +98,7 @@ def test_a_finding_answers_the_case(home, finding, action, state_is, message):
         ("SENSOR", "clean", "NO_FAULT_FOUND", "left connector"),
     ],
 )
-def test_each_component_has_findings_of_its_own(home, component, finding, code, note):
+def test_each_component_has_own_findings(home, component, finding, code, note):
     case = find_case(home, "wear") | {"component": component}
     change_case(home, case, "close", "Ada", finding=finding, note="left connector")
     assert [(h["finding"], h["note"]) for h in history(home)] == [(code, note)]
@@ -125,13 +125,13 @@ def test_each_component_has_findings_of_its_own(home, component, finding, code, 
         ("reopen", {"note": "x"}, "nothing to take back"),
     ],
 )
-def test_what_makes_no_sense_is_refused_and_leaves_no_line(home, kind, fields, message):
+def test_senseless_change_leaves_no_line(home, kind, fields, message):
     with pytest.raises(RefusedError, match=message):
         change(home, "wear", kind, "Ada", **fields)
     assert history(home) == []
 
 
-def test_a_closed_alert_is_not_acknowledged_and_no_guess_is_made_between_two(home):
+def test_closed_alert_takes_no_change(home):
     with pytest.raises(RefusedError, match="closed on"):
         change(home, "gone", "acknowledge", "Ada")
     for name in ("", "x", "%", "_"):
@@ -147,7 +147,7 @@ def write(home: Path, person: str, n: int = 20) -> None:
         CaseLog(home, "").append(ALERT | {"alert_id": f"a{k % 3}"}, "watch", person, {"note": f"{k} %s ? '"})
 
 
-def test_three_writers_at_once_lose_nothing(tmp_path):
+def test_three_writers_lose_nothing(tmp_path):
     people = ("Ada", "Bo", "Cy")
     context = multiprocessing.get_context("spawn")
     writers = [context.Process(target=write, args=(tmp_path, person)) for person in people]
@@ -162,7 +162,7 @@ def test_three_writers_at_once_lose_nothing(tmp_path):
         assert entries.filter(person=person)["note"].to_list() == [f"{k} %s ? '" for k in range(20)]
 
 
-def test_the_second_of_two_who_saw_the_same_is_told_who_was_first(tmp_path):
+def test_late_writer_learns_of_first(tmp_path):
     log = CaseLog(tmp_path, "")
     line = log.append(ALERT, "acknowledge", "Ada", expected_line=0)
     log.append(ALERT | {"alert_id": "other"}, "acknowledge", "Bo", expected_line=0)
@@ -173,7 +173,7 @@ def test_the_second_of_two_who_saw_the_same_is_told_who_was_first(tmp_path):
 
 
 @pytest.mark.parametrize("line", [2, 10**17, -1])
-def test_a_line_that_there_is_not_is_none_that_anybody_saw(tmp_path, line):
+def test_unknown_line_is_refused(tmp_path, line):
     log = CaseLog(tmp_path, "")
     with pytest.raises(ConflictError, match=f"line {line} of the log is none about this case"):
         log.append(ALERT, "acknowledge", "Ada", expected_line=line)
@@ -184,7 +184,7 @@ def test_a_line_that_there_is_not_is_none_that_anybody_saw(tmp_path, line):
     assert log.entries().height == 1
 
 
-def test_no_line_is_ever_changed_or_taken_out_and_who_looks_writes_none(tmp_path):
+def test_log_only_grows(tmp_path):
     assert CaseLog(tmp_path, "").entries().is_empty()
     assert list(tmp_path.iterdir()) == []
     CaseLog(tmp_path, "").append(ALERT, "acknowledge", "Ada")
@@ -197,7 +197,7 @@ def test_no_line_is_ever_changed_or_taken_out_and_who_looks_writes_none(tmp_path
 
 
 @pytest.mark.parametrize("damage", ["gone", "damaged"])
-def test_a_lost_log_is_put_back_from_what_the_nights_have_stored(tmp_path, damage):
+def test_lost_log_is_restored(tmp_path, damage):
     log = CaseLog(tmp_path, "")
     log.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "loss_then": 0.2})
     log.append(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"})
@@ -211,7 +211,7 @@ def test_a_lost_log_is_put_back_from_what_the_nights_have_stored(tmp_path, damag
     assert (tmp_path / f"{FILE}.damaged").exists() == (damage == "damaged")
 
 
-def test_a_line_that_rots_is_put_back_and_a_new_one_stays(tmp_path):
+def test_rotten_line_is_restored(tmp_path):
     log = CaseLog(tmp_path, "")
     log.append(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"})
     stored = log.entries()
@@ -225,7 +225,7 @@ def test_a_line_that_rots_is_put_back_and_a_new_one_stays(tmp_path):
     assert log.entries().head(1).equals(stored)
 
 
-def test_an_older_copy_of_the_log_gets_its_last_lines_back(tmp_path):
+def test_older_copy_regains_last_lines(tmp_path):
     log = CaseLog(tmp_path, "")
     log.append(ALERT, "acknowledge", "Ada")
     backup = (tmp_path / FILE).read_bytes()
@@ -238,7 +238,7 @@ def test_an_older_copy_of_the_log_gets_its_last_lines_back(tmp_path):
     assert log.repair(stored) is None
 
 
-def test_lines_from_before_there_were_ids_are_joined_once(tmp_path):
+def test_lines_without_ids_join_once(tmp_path):
     log = CaseLog(tmp_path, "")
     log.append(ALERT, "assign", "Ada", {"assignee": "Bo"})
     with sqlite3.connect(tmp_path / FILE) as con:
@@ -254,7 +254,7 @@ def test_lines_from_before_there_were_ids_are_joined_once(tmp_path):
 
 
 @pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
-def test_a_database_keeps_it_for_several_machines():
+def test_database_serves_several_machines():
     with new_database() as url:
         one, two = (CaseLog(Path("/nowhere"), url) for _ in range(2))
         line = one.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "note": "50 %"})
@@ -269,7 +269,7 @@ def test_a_database_keeps_it_for_several_machines():
     assert entries.schema["done_on"] == pl.Date
 
 
-def test_found_clean_it_closes_at_once_and_comes_back_as_the_sensors(own_home):
+def test_clean_finding_becomes_sensor_case(own_home):
     landing, home = own_home
     (case,) = list_cases(home, "c.diagnosis = 'HX_FOULING' and c.closed_at is null and c.tail = 'A9-BAC'")
     change_case(home, case, "close", "Ada", finding="clean", on="2024-06-19", note="core face clean")

@@ -38,7 +38,7 @@ def con(sample_home):
 
 
 @pytest.mark.parametrize("view", contract())
-def test_contract_columns_are_there_and_filled_and_missing_is_never_nan(con, view):
+def test_view_has_contract_columns(con, view):
     columns = {c[0]: c[1] for c in con.execute(f"describe {view}").fetchall()}
     assert set(contract()[view]) <= set(columns)
     if view not in {"alerts", "quarantine", "silent_columns"}:  # a sound fleet has none of the last two
@@ -49,7 +49,7 @@ def test_contract_columns_are_there_and_filled_and_missing_is_never_nan(con, vie
     assert [column for column, n in zip(numbers, n_nan, strict=False) if n] == []
 
 
-def test_health_parameters_hold_what_the_contract_names(con):
+def test_health_has_contract_parameters(con):
     parameters = {p for (p,) in con.execute("select distinct parameter from health_parameters").fetchall()}
     expected = {"hx_fouling", "hx_h_hot_w_k", "hx_h_cold_w_k", "cc_effective_diameter_m", "cc_efficiency_loss"}
     assert expected <= parameters
@@ -57,7 +57,7 @@ def test_health_parameters_hold_what_the_contract_names(con):
     assert con.execute(silent).fetchone()[0] == 0
 
 
-def test_answered_messages_name_a_line_of_the_log(con):
+def test_answered_message_names_its_line(con):
     keys = "select distinct operator, tail, answered_by from {} where answered_by is not null"
     named, lines = (set(con.execute(keys.format(view)).fetchall()) for view in ("messages", "maintenance"))
 
@@ -75,7 +75,7 @@ def home(sample_home, tmp_path_factory) -> Path:
     return home
 
 
-def test_a_reader_keeps_reading_while_the_catalog_is_published(home):
+def test_publishing_leaves_readers_alone(home):
     reader = connect(home)
     before = reader.execute(COUNT).fetchone()
     publish(home)
@@ -85,7 +85,7 @@ def test_a_reader_keeps_reading_while_the_catalog_is_published(home):
 
 
 @pytest.mark.parametrize("meets", ["the new one's end", "a mixture of both"])
-def test_a_catalog_published_while_it_is_opened_is_opened_anew(own_home, monkeypatch, meets):
+def test_replaced_catalog_is_opened_anew(own_home, monkeypatch, meets):
     """DuckDB opens a database by name three times: where another is renamed into its place, it mixes them."""
     _, home = own_home
     new = Path(shutil.copyfile(home / CATALOG, home / "new"))
@@ -110,7 +110,7 @@ def test_a_catalog_published_while_it_is_opened_is_opened_anew(own_home, monkeyp
     assert len(opened) == 2
 
 
-def test_a_home_that_was_copied_reads_its_own_tables(sample_home, own_home):
+def test_copied_home_reads_own_tables(sample_home, own_home):
     _, home = own_home
     assert "another place" in str(find_catalog_fault(home))
     for file in (home / "tables/raw_flights").rglob("*.parquet"):
@@ -129,7 +129,7 @@ def opened(path: Path | str, cwd: Path) -> str:
 
 
 @pytest.mark.parametrize("how", ["copied", "moved", "linked", "below a name with a quote"])
-def test_a_home_may_lie_elsewhere_and_nothing_has_to_be_written(own_home, tmp_path, how):
+def test_moved_home_needs_no_writing(own_home, tmp_path, how):
     """Also opened by DuckDB itself, by any path from any folder: copied homes, other mounts."""
     _, home = own_home
     with connect(home) as con:
@@ -154,7 +154,7 @@ def test_a_home_may_lie_elsewhere_and_nothing_has_to_be_written(own_home, tmp_pa
     assert (there / CATALOG).read_bytes() == before
 
 
-def test_a_catalog_may_be_attached_to_another_database(home, tmp_path):
+def test_catalog_can_be_attached(home, tmp_path):
     with duckdb.connect() as con:
         con.execute(f"attach '{home / CATALOG}' as other (read_only)")
         assert con.execute("select count(*) from other.flights").fetchone()[0] > 0
@@ -182,7 +182,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_broken_catalog_is_told_and_the_next_night_makes_it_anew(home, damage):
+def test_next_night_mends_broken_catalog(home, damage):
     assert find_catalog_fault(home) is None
     DAMAGE[damage](home / CATALOG)
     assert find_catalog_fault(home)
@@ -193,7 +193,7 @@ def test_a_broken_catalog_is_told_and_the_next_night_makes_it_anew(home, damage)
     assert find_catalog_fault(home) is None
 
 
-def test_readers_of_one_process_that_come_first_at_once_all_answer(home, monkeypatch):
+def test_simultaneous_first_readers_all_answer(home, monkeypatch):
     """Of two that find the configuration open, one locks it before the other has changed it."""
     lock = catalog.restrict
 
@@ -220,7 +220,7 @@ def view_texts(home: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("spoiled", [None, "catalog", "hash"])
-def test_a_catalog_that_goes_on_from_the_last_is_the_one_built_anew(home, spoiled):
+def test_continued_catalog_equals_new_one(home, spoiled):
     store, aircraft = Store(home), ("BZR", "A9-BAC")
     alerts = store.read_table("features_alerts", [aircraft])
     store.replace("features_alerts", [aircraft], alerts.head(-1))

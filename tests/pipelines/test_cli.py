@@ -58,7 +58,7 @@ def test_every_command_has_help(command):
         (("case", "list", "--state", "opne"), "'acknowledged'"),
     ],
 )
-def test_a_wrong_argument_gives_one_line_that_says_what_to_do(words, message):
+def test_wrong_argument_gets_one_line(words, message):
     done = hdt(*words)
     assert done.returncode == 2
     assert message in done.stderr
@@ -89,7 +89,7 @@ def _another_folder(zone: Path) -> str:
 
 @pytest.mark.parametrize("make", [_parent, _empty, _another_folder])
 @pytest.mark.parametrize("command", [("nightly",), ("nightly", "--dry-run"), ("backfill",), ("ui",)], ids=" ".join)
-def test_what_is_no_landing_zone_is_said_at_once(tmp_path, command, make, help_s):
+def test_missing_zone_ends_at_once(tmp_path, command, make, help_s):
     """For a home that knows files too: nothing is taken for a night without flights."""
     message = make(tmp_path / "zone")
     Ledger(tmp_path / "home").register(
@@ -116,7 +116,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_a_report_replaces_no_other_than_a_file(sample_home, tmp_path, kind):
+def test_report_replaces_files_only(sample_home, tmp_path, kind):
     target = tmp_path / "report.html"
     REFUSED[kind](target)
     before = sorted((p, p.lstat().st_mode, p.lstat().st_ino) for p in tmp_path.rglob("*"))
@@ -126,7 +126,7 @@ def test_a_report_replaces_no_other_than_a_file(sample_home, tmp_path, kind):
     assert sorted((p, p.lstat().st_mode, p.lstat().st_ino) for p in tmp_path.rglob("*")) == before
 
 
-def test_a_report_replaces_the_file_that_a_link_names(sample_home, tmp_path):
+def test_report_follows_a_link(sample_home, tmp_path):
     (tmp_path / "old.html").touch()
     (tmp_path / "report.html").symlink_to("old.html")
     assert hdt("report", "--home", sample_home, "--out", tmp_path / "report.html").returncode == 0
@@ -134,7 +134,7 @@ def test_a_report_replaces_the_file_that_a_link_names(sample_home, tmp_path):
     assert "<html" in (tmp_path / "old.html").read_text()
 
 
-def test_an_idle_night_and_one_at_the_same_time_as_another_say_so_in_a_line(own_home):
+def test_idle_night_has_nothing_new(own_home):
     landing, home = own_home
     done = hdt("nightly", "--landing", landing, "--home", home)
     assert done.returncode == 0, done.stderr
@@ -148,7 +148,7 @@ def test_an_idle_night_and_one_at_the_same_time_as_another_say_so_in_a_line(own_
     assert "another run" in done.stderr
 
 
-def test_an_idle_night_mends_the_catalog(own_home):
+def test_idle_night_mends_the_catalog(own_home):
     landing, home = own_home
     (home / "catalog.duckdb").write_bytes(b"no database")
     broken = hdt("query", "--home", home, "select 1")
@@ -164,7 +164,7 @@ def test_an_idle_night_mends_the_catalog(own_home):
     assert summary["catalog_fault"] is None
 
 
-def test_query_answers_and_says_what_is_wrong_and_an_alert_is_explained(sample_home):
+def test_query_answers(sample_home):
     assert "LX-AAB" in hdt("query", "--home", sample_home, "select distinct tail from flights").stdout
     wrong = hdt("query", "--home", sample_home, "select operatr from flights")
     assert wrong.returncode == 2
@@ -184,7 +184,7 @@ def test_query_answers_and_says_what_is_wrong_and_an_alert_is_explained(sample_h
     assert "lists them" in none.stderr
 
 
-def test_a_dry_run_names_the_new_files_and_takes_nothing_in(sample_landing, tmp_path):
+def test_dry_run_takes_nothing_in(sample_landing, tmp_path):
     home = tmp_path / "home"
     done = hdt("nightly", "--landing", sample_landing, "--home", home, "--dry-run", "--json")
     plan = json.loads(done.stdout)
@@ -194,7 +194,7 @@ def test_a_dry_run_names_the_new_files_and_takes_nothing_in(sample_landing, tmp_
     assert json.loads(again.stdout) == plan
 
 
-def test_status_counts_what_waits(own_home):
+def test_status_counts_waiting_cells(own_home):
     landing, home = own_home
     status = json.loads(hdt("status", "--home", home, "--json").stdout)
     assert all(a["waiting"] == 0 and a["cells"] == a["up_to_date"] for a in status["assets"].values())
@@ -208,7 +208,7 @@ def test_status_counts_what_waits(own_home):
     assert waiting["raw_flights"]["waiting"] == 0
 
 
-def test_history_may_be_forgotten_and_nothing_is_made_again(own_home):
+def test_tidy_changes_no_table(own_home):
     landing, home = own_home
     before = fingerprint(home)
     shards = {f.name for f in (home / "dagster" / "history").glob("*.db")}
@@ -224,7 +224,7 @@ def test_history_may_be_forgotten_and_nothing_is_made_again(own_home):
     assert fingerprint(home) == before
 
 
-def test_a_simulated_fleet_passes_the_doctor(tmp_path):
+def test_simulated_fleet_passes_the_doctor(tmp_path):
     fleet = tmp_path / "fleet"
     done = hdt("simulate", "--out", fleet, "--operators", "1", "--tails", "1", "--flights", "5")
     assert done.returncode == 0, done.stderr
@@ -236,7 +236,7 @@ def test_a_simulated_fleet_passes_the_doctor(tmp_path):
     assert [c["check"] for c in json.loads(ill.stdout) if not c["well"]] == ["landing zone"]
 
 
-def test_a_backfill_by_date_takes_in_those_flights_and_no_other(sample_landing, tmp_path):
+def test_backfill_takes_its_dates_only(sample_landing, tmp_path):
     home = tmp_path / "home"
     where = ("--landing", sample_landing, "--home", home)
     done = hdt("backfill", *where, "--tail", "LX-AAB", "--since", "2024-03-10", "--until", "2024-03-12", "--json")
@@ -247,7 +247,7 @@ def test_a_backfill_by_date_takes_in_those_flights_and_no_other(sample_landing, 
     assert days == [("LX-AAB", f"202403{d}") for d in (10, 11, 12)]
 
 
-def test_no_librarys_warning_reaches_the_terminal():
+def test_library_warnings_stay_silent():
     """As a process of its own, whose warnings nobody catches, with a command that warns."""
     script = (
         "import sys, warnings\n"
@@ -267,7 +267,7 @@ def typed_in(*words: str, **env: str) -> str:
     return done.output
 
 
-def test_help_lists_every_command_in_order_and_cuts_no_sentence():
+def test_help_lists_commands_in_order():
     load_extensions()
     listed = typed_in("--help", COLUMNS="80").partition("Commands:")[2]
     names = [line.split()[0] for line in listed.strip().splitlines()]
@@ -285,17 +285,17 @@ def test_help_lists_every_command_in_order_and_cuts_no_sentence():
         ("hdt report --o", ["--out"]),
     ],
 )  # fmt: skip
-def test_the_shell_completes_commands_and_options(typed, offered):
+def test_shell_completes_words(typed, offered):
     place = str(len(typed.split()) - 1)
     assert typed_in(_HDT_COMPLETE="complete_bash", COMP_WORDS=typed, COMP_CWORD=place).split() == offered
 
 
-def test_the_shell_is_told_how_to_complete():
+def test_each_shell_gets_its_script():
     for shell, script in (("bash", "complete -o default"), ("zsh", "compdef"), ("fish", "complete")):
         assert script in typed_in(_HDT_COMPLETE=f"source_{shell}")
 
 
-def test_its_last_night_has_open_alerts_and_a_history():
+def test_demo_ends_with_open_alerts():
     size = {name: value for name, value in DEMO.items() if name != "seed"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # samples of a pack that is off, as in every night

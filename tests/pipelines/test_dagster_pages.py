@@ -43,7 +43,7 @@ def numbers(record: dg.EventLogRecord) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(("table", "cell"), [("legs_samples", ("tail", "flight_id")), ("twin_health", ("tail",))])
-def test_every_cell_has_an_event_with_its_own_time_and_rows(sample_home, table, cell):
+def test_every_cell_has_its_event(sample_home, table, cell):
     frame = Store(sample_home).read_table(table)
     rows = {tuple(key): n for *key, n in frame.group_by(*cell).len().rows()}
     with open_instance(sample_home) as instance:
@@ -54,7 +54,7 @@ def test_every_cell_has_an_event_with_its_own_time_and_rows(sample_home, table, 
         assert numbers(event) == {"rows": rows[(tail, f"{tail}_{flight}")[: len(cell)]]}
 
 
-def test_the_last_flight_of_a_run_stands_first(sample_home):
+def test_last_flight_stands_first(sample_home):
     with open_instance(sample_home) as instance:
         events = records_of(instance, "raw_flights")
     for run_id in {e.run_id for e in events}:
@@ -64,7 +64,7 @@ def test_the_last_flight_of_a_run_stands_first(sample_home):
         assert [e.timestamp for e in own] == sorted((e.timestamp for e in own), reverse=True)
 
 
-def test_runs_are_named_by_night_and_step(sample_home):
+def test_run_bears_its_nights_name(sample_home):
     with open_instance(sample_home) as instance:
         runs = [r for r in instance.get_runs(dg.RunsFilter(tags=NIGHT)) if "hdt/step" in r.tags]
         created = {r.dagster_run.run_id: r.create_timestamp for r in instance.get_run_records()}
@@ -88,7 +88,7 @@ def test_groups_are_a_chain(sample_landing, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:Function `AssetSelection.sources`:DeprecationWarning")  # Dagster's own call
-def test_a_backfill_with_a_flight_that_its_aircraft_never_flew_ends_well(own_home, monkeypatch):
+def test_backfill_of_unflown_flight_succeeds(own_home, monkeypatch):
     landing, home = own_home
     for name, folder in (("HDT_LANDING", landing), ("HDT_HOME", home)):
         monkeypatch.setenv(name, str(folder))
@@ -121,7 +121,7 @@ def test_a_backfill_with_a_flight_that_its_aircraft_never_flew_ends_well(own_hom
     assert [files for _, files in Store(home).snapshot().values()] == [files for _, files in before.values()]
 
 
-def test_a_night_tells_that_it_published_and_the_page_can_do_it_too(own_home):
+def test_page_publishes_like_a_night(own_home):
     landing, home = own_home
     defs = build_defs(landing=landing, home=home)
     with open_instance(home) as instance:
@@ -138,7 +138,7 @@ def test_a_night_tells_that_it_published_and_the_page_can_do_it_too(own_home):
 
 
 @pytest.mark.filterwarnings("ignore:Parameter `include_sources`")  # Dagster's own call
-def test_after_a_night_nothing_is_left_for_dagster_and_what_follows_a_newer_parent_is(sample_landing, own_home):
+def test_night_leaves_dagster_nothing(sample_landing, own_home):
     """The parent's own cell and no other; and where a table is newer than the views over it all are published again."""
     _, home = own_home
     defs = build_defs(landing=sample_landing, home=home)
@@ -207,7 +207,7 @@ def new_files(clone: Path) -> str:
     return subprocess.run(command, cwd=clone, capture_output=True, text=True, check=True).stdout.replace("A  ", "")
 
 
-def test_definitions_validate_without_a_home_of_dagsters(clone):
+def test_definitions_validate_without_home(clone):
     before = new_files(clone)
     with started(clone, "definitions", "validate", home=False) as process:
         words = process.communicate(timeout=120)[0]
@@ -217,7 +217,7 @@ def test_definitions_validate_without_a_home_of_dagsters(clone):
     assert (clone / "hdt_home/dagster/history").is_dir()  # where `hdt --home hdt_home` keeps it
 
 
-def test_dev_answers_with_a_home_of_dagsters(clone):
+def test_dev_answers_with_home(clone):
     before = new_files(clone)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]

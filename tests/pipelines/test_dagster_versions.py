@@ -27,7 +27,7 @@ def supported() -> tuple[str, str]:
     return bounds[1], bounds[2]
 
 
-def test_the_oldest_version_is_named_alike_wherever_it_is_named():
+def test_oldest_version_is_named_alike():
     oldest, beyond = supported()
     assert numbers(oldest) < numbers(dagster.__version__) < numbers(beyond)
     assert f"`make dagster` runs them with the oldest, {oldest}" in (ROOT / "dagster_batched/README.md").read_text()
@@ -35,7 +35,7 @@ def test_the_oldest_version_is_named_alike_wherever_it_is_named():
 
 
 @pytest.mark.skipif(not OTHER, reason="HDT_TEST_DAGSTER names no Python with another Dagster; `make dagster` makes one")
-def test_what_holds_against_the_pinned_dagster_holds_against_another():
+def test_other_dagster_passes_the_tests():
     ask = [OTHER, "-c", "import dagster; print(dagster.__version__)"]
     other = subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip()
     oldest, beyond = supported()

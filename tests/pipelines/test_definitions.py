@@ -40,7 +40,7 @@ def specs(defs) -> dict[str, dg.AssetSpec]:
     return {"/".join(s.key.path): s for s in defs.resolve_all_asset_specs()}
 
 
-def test_there_is_an_asset_for_every_declared_table_behind_all_that_it_is_made_from(specs):
+def test_every_table_has_an_asset(specs):
     assert set(specs) == {*TABLES, *(f"catalog/{view}" for view in views()), "report"}
     assert set(TABLES) == set(LINEAGE)
     assert {s.group_name for s in specs.values()} == GROUPS
@@ -58,7 +58,7 @@ def test_there_is_an_asset_for_every_declared_table_behind_all_that_it_is_made_f
 
 
 @pytest.mark.parametrize("view", views())
-def test_a_view_stands_behind_what_it_reads(specs, view):
+def test_view_depends_on_its_sources(specs, view):
     spec, header = specs[f"catalog/{view}"], read_header(views()[view])
     read = {name.removeprefix("tables.") if "." in name else f"catalog/{name}" for name in header.sources}
     assert {"/".join(d.asset_key.path) for d in spec.deps} == read
@@ -66,7 +66,7 @@ def test_a_view_stands_behind_what_it_reads(specs, view):
 
 
 @pytest.mark.parametrize("table", TABLES)
-def test_an_asset_says_what_it_is(specs, table):
+def test_asset_describes_itself(specs, table):
     spec = specs[table]
     assert len(spec.owners) == 1
     assert "deltalake" in spec.kinds
@@ -78,7 +78,7 @@ def test_an_asset_says_what_it_is(specs, table):
     assert expected is None if spec.partitions_def is None else isinstance(spec.partitions_def, expected)
 
 
-def test_every_asset_has_a_blocking_check_and_schedule_and_sensor_are_off(defs):
+def test_every_asset_has_blocking_check(defs):
     graph = defs.resolve_asset_graph()
     keys = {(k.asset_key.path[-1], k.name) for k in graph.asset_check_keys}
     assert {(t, CHECK) for t in TABLES} <= keys
@@ -106,7 +106,7 @@ def test_failed_run_is_sent_to_receivers(tmp_path):
     assert "no landing zone at" in page.read_text()
 
 
-def test_an_account_that_does_not_balance_blocks():
+def test_unbalanced_account_blocks():
     """delivered = loaded + quarantined + duplicate, or the table is not stored and nothing after it runs."""
     row = {"operator": "AQX", "tail": "LX-AAA", "file": "a.csv", "flight_id": "LX-AAA_20240525_04"}
     account = pl.DataFrame(row | {"delivered": 42, "loaded": 40, "quarantined": 1, "duplicate": 1})
@@ -119,7 +119,7 @@ def test_an_account_that_does_not_balance_blocks():
         next(events)
 
 
-def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing, tmp_path, monkeypatch):
+def test_sensor_waits_for_quiet(sample_landing, tmp_path, monkeypatch):
     home = Home(landing=str(sample_landing), home=str(tmp_path / "home"))
 
     def look():
@@ -134,7 +134,7 @@ def test_the_sensor_waits_for_fresh_files_and_fires_once_a_state(sample_landing,
     assert first[0].run_key == second[0].run_key
 
 
-def test_the_job_does_what_the_command_does_and_its_runs_say_who_launched_it(own_home):
+def test_job_works_like_the_command(own_home):
     landing, home = own_home
     ledger = Ledger(home)
     ledger.mark("features_alerts", ledger.cells("features_alerts").with_columns(version=pl.lit("")))
@@ -153,7 +153,7 @@ def test_the_job_does_what_the_command_does_and_its_runs_say_who_launched_it(own
     assert {own["user"] for own in by_command.values()} == {"hdt nightly"}
 
 
-def test_dagster_finds_these_definitions_and_a_cells_key_is_the_one_it_makes():
+def test_project_names_the_definitions():
     tool = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["tool"]
     assert tool["dagster"]["module_name"] == tool["dg"]["project"]["code_location_target_module"] == LOCATION
     (ours,) = resources.cell_keys([("AAA:T1", "20260101_02")])
@@ -162,7 +162,7 @@ def test_dagster_finds_these_definitions_and_a_cells_key_is_the_one_it_makes():
         assert (ours, type(ours), ours.dimension_keys) == (other, type(other), other.dimension_keys)
 
 
-def test_a_night_that_is_a_run_is_refused_where_runs_are_sent_out(sample_landing, tmp_path):
+def test_night_as_remote_run_is_refused(sample_landing, tmp_path):
     """It would hold a worker that a run of its own may wait behind."""
     (tmp_path / "dagster").mkdir()
     (tmp_path / "dagster/dagster.yaml").write_text("run_launcher:\n  module: any\n")
@@ -171,7 +171,7 @@ def test_a_night_that_is_a_run_is_refused_where_runs_are_sent_out(sample_landing
         job.execute_in_process(instance=instance)
 
 
-def test_no_cell_is_listed_to_look_up_versions_and_none_shows_as_stale(own_home, monkeypatch):
+def test_night_leaves_no_stale_cell(own_home, monkeypatch):
     landing, home = own_home
     monkeypatch.setattr(StepExecutionContext, "asset_partitions_subset_for_input", None)
     ledger = Ledger(home)

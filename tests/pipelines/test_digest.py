@@ -26,7 +26,7 @@ def two_nights(tmp_path_factory) -> Path:
     return home
 
 
-def test_a_digest_tells_what_is_new_worse_closed_and_moved_of_an_operators_own(two_nights):
+def test_digest_lists_changes_by_kind(two_nights):
     digest = since(two_nights)
     assert {kind: [r.get("alert_id") for r in rows] for kind, rows in digest.changes.items()} == {
         "new": ["cccc"], "worse": ["aaaa"], "closed": ["bbbb"], "moved": [None],
@@ -44,7 +44,7 @@ def test_a_digest_tells_what_is_new_worse_closed_and_moved_of_an_operators_own(t
     assert not compare(EMPTY, now).of("ZZZ").changes
 
 
-def test_parts_that_recover_without_work_in_the_log_are_gaps_each_of_its_own():
+def test_recovery_without_work_is_a_gap():
     flown = [fouling(n, 0.2 if n < 50 else 0.01, pack=pack) for n in range(70) for pack in (1, 2)]
     digest = compare(EMPTY, read_state(catalog(twin_health=flown)))
     text = as_text(digest)
@@ -61,7 +61,7 @@ def test_parts_that_recover_without_work_in_the_log_are_gaps_each_of_its_own():
         ((40, 200, 300), (200, 300, 300), 10, False),  # 300 stands for 300 or more
     ],
 )
-def test_an_outlook_moved_where_it_left_its_own_interval(then, now, flown, expected):
+def test_outlook_beyond_interval_has_moved(then, now, flown, expected):
     def state(outlook: tuple[float, ...], n: int, life: int = 0) -> dict:
         names = dict(zip(("rul_low", "rul_flights", "rul_high"), outlook, strict=True))
         row = {"operator": "AAA", "tail": "T-1", "pack": 1, "component": "HX", "life": life, "n_flights": n}
@@ -71,7 +71,7 @@ def test_an_outlook_moved_where_it_left_its_own_interval(then, now, flown, expec
     assert not compare(state(then, 20), state(now, 20 + flown, life=1)).changes, "another unit has its own outlook"
 
 
-def test_work_orders_say_by_when(two_nights, tmp_path):
+def test_work_orders_have_due_dates(two_nights, tmp_path):
     answer = CliRunner().invoke(app, ["orders", "--home", str(two_nights), "--out", str(tmp_path / "out")])
     assert answer.exit_code == 0, answer.output
     names = ["reference", "operator", "tail", "pack", "component", "action", "due", "reason", "case_id", "alert_id"]

@@ -89,7 +89,7 @@ def declare(home: Path, *receivers: dict) -> None:
     (home / "notify.toml").write_text("\n".join(line for entry in lines for line in entry))
 
 
-def test_nothing_is_sent_when_nothing_changed_and_each_night_once(home):
+def test_each_change_is_sent_once(home):
     with webhook() as (url, posts):
         declare(home, {"name": "ops", "kind": "webhook", "url": url})
         assert send_digests(home) == []
@@ -104,7 +104,7 @@ def test_nothing_is_sent_when_nothing_changed_and_each_night_once(home):
         assert len(list((home / "notify").iterdir())) == 2, "one state and the record"
 
 
-def test_a_receiver_that_fails_is_told_with_the_next_night_and_is_in_nobodys_way(home, monkeypatch):
+def test_failed_receiver_catches_up(home, monkeypatch):
     with webhook() as (url, posts), webhook(*[500] * 3) as (busy, late):
         monkeypatch.setenv("HDT_BUSY", busy)
         declare(home, {"name": "busy", "kind": "webhook", "url_env": "HDT_BUSY"}, {"name": "ops", "kind": "webhook",
@@ -120,14 +120,14 @@ def test_a_receiver_that_fails_is_told_with_the_next_night_and_is_in_nobodys_way
 
 
 @pytest.mark.parametrize(("codes", "arrives"), [((503,), True), ((429, 500), True), ((400,), False), ((302,), False)])
-def test_what_may_pass_is_tried_again_and_a_redirect_is_not_followed(home, codes, arrives):
+def test_passing_failure_is_tried_again(home, codes, arrives):
     with webhook(*codes) as (url, posts):
         declare(home, {"name": "ops", "kind": "webhook", "url": url})
         assert (send_digests(home) == []) is arrives
         assert len(posts) == arrives
 
 
-def test_a_night_that_is_killed_while_it_tells_tells_nobody_twice(home, monkeypatch):
+def test_killed_sending_repeats_nothing(home, monkeypatch):
     with webhook() as (url, posts):
         declare(home, *({"name": n, "kind": "webhook", "url": f"{url}/{n}"} for n in ("one", "two", "three")))
         send = delivery.send
@@ -158,7 +158,7 @@ def test_failed_night_is_sent_once(home):
     assert "no fleet.csv" in post.body["text"]
 
 
-def test_failure_is_reported_where_no_receiver_hears(home):
+def test_failure_without_receiver_is_reported(home):
     declare(home, {"name": "ops", "kind": "webhook", "url": "http://127.0.0.1:9/hook"})
     lines: list[str] = []
 
@@ -211,7 +211,7 @@ def mail_server(certificate: Path) -> Iterator[tuple[int, list]]:
         server.stop()
 
 
-def test_an_e_mail_goes_over_starttls_with_text_page_and_json(home, certificate, monkeypatch):
+def test_mail_goes_over_starttls(home, certificate, monkeypatch):
     monkeypatch.setenv("HDT_SMTP_USER", "hdt")
     monkeypatch.setenv("HDT_SMTP_PASSWORD", SECRET)
     with mail_server(certificate) as (port, envelopes):
@@ -255,7 +255,7 @@ MAIL = {"name": "m", "kind": "mail", "host": "h", "from": "a@b", "to": ["a@b"]}
         ({"name": "w", "kind": "webhook", "url": "http://hooks.example/abc"}, "has to begin with https://"),
     ],
 )
-def test_a_wrong_declaration_is_told_with_file_and_key(tmp_path, receiver, message):
+def test_wrong_declaration_is_named(tmp_path, receiver, message):
     declare(tmp_path, receiver)
     with pytest.raises(NotifyError, match=re.escape(message)) as error:
         receivers_of(tmp_path)
@@ -287,7 +287,7 @@ def test_refused_address_is_not_shown(tmp_path, key, url):
 
 
 @pytest.mark.parametrize("variable", ["https://user:S3CRET@hooks.example/x", "https://hooks.example/S3CRET x"])
-def test_refused_address_of_variable_is_not_shown(home, monkeypatch, variable):
+def test_refused_variable_is_not_shown(home, monkeypatch, variable):
     monkeypatch.setenv("HDT_HOOK", variable)
     declare(home, {"name": "w", "kind": "webhook", "url_env": "HDT_HOOK"})
 
@@ -312,7 +312,7 @@ def test_every_key_is_documented():
     assert [key for key in keys if f"`{key}`" not in page and f"{key} = " not in page] == []
 
 
-def test_a_night_goes_well_whoever_can_not_be_told(own_home):
+def test_dead_receiver_stops_no_night(own_home):
     landing, home = own_home
     declare(home, {"name": "gone", "kind": "webhook", "url": "http://127.0.0.1:9/x"}, {"name": "here", "kind": "file",
             "folder": "digests"})  # fmt: skip

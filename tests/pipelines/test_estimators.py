@@ -33,7 +33,7 @@ def made_by(home, view: str) -> dict[str, str]:
         return dict(con.execute(f"select distinct parameter, estimator from {view}").fetchall())
 
 
-def test_home_without_a_file_runs_the_default(homes):
+def test_home_without_file_runs_default(homes):
     _home, before, _second, _third = homes
 
     assert (before["hx_fouling"], before["hx_fouling_smoothed"]) == ("nls, filtered", "nls, smoothed")
@@ -52,12 +52,12 @@ def test_design_names_its_method(homes):
     assert (design["hx_exponent_hot"], design["cc_efficiency"]) == ("ekf", "pinn, pooled")
 
 
-def test_changed_line_is_taken_up_at_once(homes):
+def test_changed_line_counts_at_once(homes):
     _home, _before, second, _third = homes
 
     assert (second.new_files, second.failed) == (0, {})
     assert second.cells > 0
 
 
-def test_unchanged_line_leaves_the_night_idle(homes):
+def test_unchanged_line_leaves_night_idle(homes):
     assert homes[3].idle

@@ -154,7 +154,7 @@ def bare(event: str) -> str:
     return json.dumps(record)
 
 
-def test_tables_equal_those_of_stock_dagster(new_log, monkeypatch):
+def test_tables_equal_those_of_stock(new_log, monkeypatch):
     stock, said_by_stock = ran(new_log("stock"), STOCK, monkeypatch, "0")
     log = new_log("ours")
     ours, said_by_ours = ran(log, OURS, monkeypatch, "1000")
@@ -172,7 +172,7 @@ def test_tables_equal_those_of_stock_dagster(new_log, monkeypatch):
     instance.dispose()
 
 
-def test_keys_that_a_page_counts_are_those_that_stock_finds():
+def test_valid_keys_equal_stocks():
     """Of cells that are there, of others, and of texts that are no cells; each key tells its parts by dimension."""
     stock_filter = dg.MultiPartitionsDefinition.filter_valid_partition_keys
     stock_keys = getattr(stock_filter, "__wrapped__", stock_filter)  # another test may have opened an instance of ours
@@ -198,7 +198,7 @@ def broken() -> None:
     raise ValueError("no")
 
 
-def test_cells_of_a_failed_run_show_as_stock_shows_them(new_log, monkeypatch):
+def test_failed_cells_show_like_stocks(new_log, monkeypatch):
     """Stock plans cell by cell; ours only where the run failed, and then what was not made."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
     cells, attempts = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"], []
@@ -225,7 +225,7 @@ def fickle(context) -> None:
 
 
 @pytest.mark.parametrize("named", [1, 2, 30_000])
-def test_cells_planned_in_vain_are_those_that_stock_finds(new_log, monkeypatch, named):
+def test_vain_cells_equal_stocks(new_log, monkeypatch, named):
     """After any event: cells that failed, were made, made and then failed, failed and then made, or wiped."""
     monkeypatch.setattr("dagster_batched.event_log._MAX_VALUES", named)
     log = new_log("log")
@@ -253,7 +253,7 @@ def test_cells_planned_in_vain_are_those_that_stock_finds(new_log, monkeypatch, 
 
 
 @pytest.mark.parametrize("assets", [[first, second, third], [sound, broken]])
-def test_the_page_of_a_run_tells_what_stock_tells(new_log, assets, monkeypatch):
+def test_run_page_equals_stocks(new_log, assets, monkeypatch):
     """In stock's order, where events that only tell how far a step is are written with the next; a line an asset."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
     monkeypatch.setenv("DAGSTER_EMIT_PARTITION_SUBSET_IN_PLANNED_EVENTS", "1")
@@ -271,7 +271,7 @@ def test_the_page_of_a_run_tells_what_stock_tells(new_log, assets, monkeypatch):
     assert len(ours) > 10
 
 
-def test_every_run_has_a_shard_like_stocks(tmp_path, monkeypatch):
+def test_every_shard_equals_stocks(tmp_path, monkeypatch):
     """The first makes its own, those after it are copies: same schema and journal, and nothing of another run."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
 
@@ -303,7 +303,7 @@ def shared(context):
     return dg.MaterializeResult(check_results=[dg.AssetCheckResult(passed=True, check_name="fine")])
 
 
-def test_of_runs_side_by_side_the_last_check_is_that_of_the_last_materialisation(new_log, monkeypatch):
+def test_parallel_runs_keep_last_check(new_log, monkeypatch):
     """Or else a page says that nothing was checked: it takes the last that was planned."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
     with new_log("ours").instance(OURS) as instance:
@@ -321,7 +321,7 @@ def plain() -> None:
 
 
 @pytest.mark.parametrize("present", [(), ("event_logs", "secondary_indexes")])
-def test_an_index_that_a_kill_left_half_made_is_completed(tmp_path, present):
+def test_half_made_index_is_completed(tmp_path, present):
     log = Log(tmp_path / "log", "sqlite", "")
     log.instance(OURS).dispose()
     with closing(sqlite3.connect(log.base / "history/index.db")) as con:
@@ -339,7 +339,7 @@ def test_an_index_that_a_kill_left_half_made_is_completed(tmp_path, present):
         assert instance.get_latest_materialization_event(dg.AssetKey("plain"))
 
 
-def test_no_process_meets_settings_half_written(tmp_path):
+def test_settings_are_never_half_written(tmp_path):
     """Worker processes open the instance side by side; one that read an empty file had stock's event log, and a night
     that takes seconds took an hour."""
     settings = tmp_path / "dagster.yaml"
@@ -357,7 +357,7 @@ def test_no_process_meets_settings_half_written(tmp_path):
     assert [p.name for p in tmp_path.glob("*dagster.yaml*")] == ["dagster.yaml"]
 
 
-def test_a_log_that_nobody_disposes_of_closes_its_files(tmp_path):
+def test_forgotten_log_closes_its_files(tmp_path):
     """From Python 3.13 on a connection that the collector finds open is a warning."""
     log = BatchedSqliteEventLogStorage(str(tmp_path))
     engine = log._engine("index")

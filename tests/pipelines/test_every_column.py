@@ -94,7 +94,7 @@ def table(home: Path, name: str) -> pl.DataFrame:
         return con.sql(f"select * from tables.{name}").pl()
 
 
-def test_where_a_flight_went_and_what_a_message_says_is_read_as_it_was_written(zone, home, tmp_path):
+def test_route_is_read_as_written(zone, home, tmp_path):
     assert len(RECORDED) == len(set(RECORDED)) == 22
     assert [len(columns) for columns in LOGS.values()] == [6, 5, 8]
     with connect(home) as con:
@@ -108,7 +108,7 @@ def test_where_a_flight_went_and_what_a_message_says_is_read_as_it_was_written(z
 
 @pytest.mark.parametrize("column", RECORDED)
 @pytest.mark.parametrize(("name", "nth"), [("raw_snapshots", 0), ("raw_snapshots", 1), ("raw_logs", 1)])
-def test_a_recorded_column_arrives(name, nth, column, zone, home):
+def test_recorded_column_arrives(name, nth, column, zone, home):
     """From CSV, from history, from a continuous log."""
     flight = zone.flights[nth]
     delivered = zone.cpl[flight] if name == "raw_logs" else zone.snapshots.filter(flight_id=flight)
@@ -126,7 +126,7 @@ def test_a_recorded_column_arrives(name, nth, column, zone, home):
 
 
 @pytest.mark.parametrize(("log", "column"), [(log, c) for log, columns in LOGS.items() for c in columns])
-def test_a_column_of_a_log_arrives(log, column, zone, home):
+def test_column_of_log_arrives(log, column, zone, home):
     delivered = getattr(zone, log)[column].item()
     stored = table(home, f"raw_{log}")[column].item()
     if isinstance(stored, datetime):

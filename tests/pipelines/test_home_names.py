@@ -62,7 +62,7 @@ def test_rows_are_read_through_catalog(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_home_is_refused_in_one_line(tmp_path, name):
+def test_refused_home_gets_one_line(tmp_path, name):
     (tmp_path / "fleet.csv").write_text("operator,tail,packs\n")
     home = tmp_path / name / "home"
 

@@ -107,7 +107,7 @@ def of_one_file(rows: pl.DataFrame) -> str:
 
 
 @pytest.mark.parametrize("first", [CSV, COPY])
-def test_of_two_deliveries_that_contradict_each_other_one_wins_as_a_whole(zone, first):
+def test_contradicting_deliveries_keep_one_whole(zone, first):
     """Every second value differs in turn up and down: sorted row by row it was a patchwork of both."""
     turn = itertools.cycle((-2.0, 2.0))
     zigzag = column("hx_out_degc", lambda v: v + next(turn))
@@ -123,7 +123,7 @@ def test_of_two_deliveries_that_contradict_each_other_one_wins_as_a_whole(zone, 
     assert aside["content"].str.contains("hx_out_k").all()
 
 
-def test_the_delivery_with_more_rows_wins_whatever_its_name(zone):
+def test_delivery_with_more_rows_wins(zone):
     zone.deliver(CSV, head(20))
     zone.deliver(COPY, warmer)
     rows = zone.night()
@@ -131,7 +131,7 @@ def test_the_delivery_with_more_rows_wins_whatever_its_name(zone):
     assert zone.quarantine.filter(reason="conflicting_delivery")["file"].to_list() == [CSV] * 20
 
 
-def test_rows_of_a_contradicting_delivery_that_the_winner_lacks_are_kept_aside(zone):
+def test_rows_beyond_winner_stay_aside(zone):
     zone.deliver(CSV, head(30))
     zone.deliver(COPY, both(warmer, lambda c: joined([fields_of(c)[0], *fields_of(c)[-25:]])))
     assert of_one_file(zone.night()) == CSV
@@ -140,21 +140,21 @@ def test_rows_of_a_contradicting_delivery_that_the_winner_lacks_are_kept_aside(z
     assert aside.filter(pl.col("detail").str.contains("does not hold this row")).height == N - 30
 
 
-def test_deliveries_that_agree_complete_each_other(zone):
+def test_agreeing_deliveries_complete_each_other(zone):
     zone.deliver(CSV, head(30))
     zone.deliver(COPY, lambda c: joined([fields_of(c)[0], *fields_of(c)[-25:]]))
     assert zone.night().height == N
     assert zone.reasons() == ["flight_id_from_column"]
 
 
-def test_a_winner_that_left_the_landing_zone_still_wins(zone, taken_in):
+def test_vanished_winner_still_wins(zone, taken_in):
     (zone.landing / CSV).unlink()
     zone.deliver(COPY, both(warmer, head(40)))
     assert of_one_file(zone.night()) == CSV
     assert of_one_file(zone.night()) == CSV
 
 
-def test_a_loser_that_left_the_landing_zone_is_still_told(zone):
+def test_vanished_loser_is_still_noted(zone):
     zone.deliver(CSV, head(20))
     zone.night()
     (zone.landing / CSV).unlink()
@@ -164,7 +164,7 @@ def test_a_loser_that_left_the_landing_zone_is_still_told(zone):
         assert zone.quarantine.filter(reason="conflicting_delivery")["file"].to_list() == [CSV] * 20
 
 
-def test_a_file_that_comes_again_with_fewer_rows_loses_none_and_says_so(zone, taken_in):
+def test_shorter_file_loses_no_row(zone, taken_in):
     zone.deliver(CSV, head(20))
     for _ in range(2):  # also when the flight is made again later
         assert zone.night().equals(taken_in)
@@ -177,7 +177,7 @@ def test_a_file_that_comes_again_with_fewer_rows_loses_none_and_says_so(zone, ta
     assert zone.reasons() == []
 
 
-def test_fewer_rows_with_other_values_replace_the_flight_and_keep_the_others_aside(zone, taken_in):
+def test_shorter_correction_replaces_the_flight(zone, taken_in):
     zone.deliver(CSV, both(warmer, head(20)))
     for _ in range(2):
         assert zone.night().height == 20
@@ -188,27 +188,27 @@ def test_fewer_rows_with_other_values_replace_the_flight_and_keep_the_others_asi
     assert zone.reasons() == []
 
 
-def test_fewer_rows_at_other_times_replace_the_flight(zone, taken_in):
+def test_retimed_file_replaces_the_flight(zone, taken_in):
     zone.deliver(CSV, both(an_hour_later, head(20)))
     for _ in range(2):
         assert zone.night()["time_utc"].min() == taken_in["time_utc"].min() + timedelta(hours=1)
         assert zone.quarantine.filter(reason="replaced_row")["n_rows"].sum() == N
 
 
-def test_a_correction_under_the_same_name_replaces_what_it_said(zone, taken_in):
+def test_correction_replaces_the_flight(zone, taken_in):
     zone.deliver(CSV, warmer)
     after = zone.night()
     assert (after["hx_out_k"] - taken_in["hx_out_k"]).round(3).unique().to_list() == [2.0]
     assert zone.reasons() == []
 
 
-def test_a_row_that_is_refused_now_is_no_row_less(zone, taken_in):
+def test_refused_row_is_not_fewer(zone, taken_in):
     zone.deliver(CSV, field(3, "pack", b"9"))
     assert zone.night().height == N - 1
     assert zone.reasons() == ["bad_pack"]
 
 
-def test_a_file_changed_at_the_same_size_and_time_is_noticed(zone, taken_in):
+def test_stealthy_change_is_noticed(zone, taken_in):
     assert {record.touched_ns for record in zone.ledger.file_records().values()} == {None}, "touched just before it"
     zone.ledger.note_night(("2026-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
     stat = (zone.landing / CSV).stat()
@@ -227,7 +227,7 @@ def read_at_leisure(monkeypatch):
 
 
 @pytest.mark.usefixtures("read_at_leisure")
-def test_a_file_is_the_same_while_its_change_time_stands(zone, taken_in, monkeypatch):
+def test_standing_change_time_spares_reading(zone, taken_in, monkeypatch):
     with monkeypatch.context() as within:
         within.setattr(scan_module, "_digest", None)
         assert list_new_files(zone.landing, zone.ledger)[1] == []
@@ -238,7 +238,7 @@ def test_a_file_is_the_same_while_its_change_time_stands(zone, taken_in, monkeyp
 
 
 @pytest.mark.usefixtures("read_at_leisure")
-def test_a_change_time_tells_of_a_change_whatever_clocks_say(zone, taken_in):
+def test_change_time_outdoes_the_clock(zone, taken_in):
     zone.ledger.note_night(("2100-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
     stat = (zone.landing / CSV).stat()
     zone.deliver(CSV, lambda c: c.replace(b",CL,", b",DS,", 1))
@@ -275,7 +275,7 @@ BAD_MOMENTS = [cut, put_folder_in_place, put_pipe_in_place, put_dead_link_in_pla
 
 
 @pytest.mark.parametrize("meanwhile", BAD_MOMENTS)
-def test_file_not_read_as_scanned_is_new_again(zone, meanwhile):
+def test_misread_file_is_new_again(zone, meanwhile):
     zone.deliver(CSV)
     stat = (zone.landing / CSV).stat()
     zone.night(meanwhile)
@@ -295,7 +295,7 @@ def test_file_that_changed_is_noted(zone):
     assert zone.reasons() == ["changed_since_scan"]
 
 
-def test_file_that_cannot_be_opened_makes_no_run(zone, monkeypatch):
+def test_unopened_file_makes_no_run(zone, monkeypatch):
     zone.deliver(CSV)
     monkeypatch.setattr(scan_module, "_hash_file", fail_to_open)
 
@@ -308,7 +308,7 @@ def fail_to_open(path: Path) -> str:
     raise OSError(5, "Input/output error")
 
 
-def test_file_that_could_not_be_opened_is_new_later(zone, monkeypatch):
+def test_unopened_file_is_new_later(zone, monkeypatch):
     zone.deliver(CSV)
     with monkeypatch.context() as within:
         within.setattr(scan_module, "_hash_file", fail_to_open)
@@ -317,7 +317,7 @@ def test_file_that_could_not_be_opened_is_new_later(zone, monkeypatch):
     assert [f.path for f in list_new_files(zone.landing, zone.ledger)[1]] == [CSV]
 
 
-def test_files_untouched_since_the_last_night_are_not_read(zone, taken_in, monkeypatch):
+def test_files_before_night_stay_unread(zone, taken_in, monkeypatch):
     zone.ledger.note_night(("2100-01-01T00:00:00+00:00", "", 1, 1, 1, 1, "{}"))
     monkeypatch.setattr("pipelines.intake.scan._digest", None)
     assert list_new_files(zone.landing, zone.ledger)[1] == []

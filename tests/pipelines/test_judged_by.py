@@ -70,7 +70,7 @@ def zone(tmp_path) -> Zone:
     return Zone(tmp_path)
 
 
-def test_a_pack_that_a_wrong_line_kept_out_comes_back_with_the_right_one(zone):
+def test_pack_returns_with_right_line(zone):
     assert sorted(zone.night(ONE_PACK)) == ["LX-AAA", "LX-AAB"]
     assert ("LX-AAA", 2) not in zone.rows()
     assert zone.night(RIGHT) == ["LX-AAA"]
@@ -79,7 +79,7 @@ def test_a_pack_that_a_wrong_line_kept_out_comes_back_with_the_right_one(zone):
     assert zone.night(RIGHT) == []
 
 
-def test_a_wrong_line_takes_no_stored_row_away_even_where_the_file_comes_again(zone):
+def test_wrong_line_removes_no_row(zone):
     zone.night(RIGHT)
     assert zone.night(ONE_PACK) == ["LX-AAA"]
     assert zone.rows() == ALL
@@ -91,7 +91,7 @@ def test_a_wrong_line_takes_no_stored_row_away_even_where_the_file_comes_again(z
     assert (zone.rows(), zone.reasons()) == (ALL, set())
 
 
-def test_a_file_that_has_left_loses_nothing_by_a_wrong_line(zone):
+def test_wrong_line_spares_vanished_file(zone):
     zone.night(RIGHT)
     zone.night(ONE_PACK)
     (zone.landing / CSV).unlink()
@@ -100,7 +100,7 @@ def test_a_file_that_has_left_loses_nothing_by_a_wrong_line(zone):
     assert zone.rows() == ALL
 
 
-def test_a_line_with_too_many_packs_leaves_no_pack_behind_once_corrected(zone):
+def test_corrected_line_drops_extra_pack(zone):
     (zone.landing / CSV).write_bytes(field(1, "pack", b"3")(GOOD.read_bytes()))
     zone.night(RIGHT)
     clean = zone.rows()
@@ -129,7 +129,7 @@ UNCHANGED = {
 
 @pytest.mark.parametrize("packs", [2, 3])
 @pytest.mark.parametrize("wrong", UNCHANGED.values(), ids=UNCHANGED.keys())
-def test_what_does_not_judge_a_file_has_nothing_read_again(zone, wrong, packs):
+def test_unrelated_line_rereads_nothing(zone, wrong, packs):
     """Of a usual aircraft, and of one whose line gives other packs than is usual."""
     right = RIGHT.replace("2014-06-01,2\n", f"2014-06-01,{packs}\n")
     zone.night(right)
@@ -138,14 +138,14 @@ def test_what_does_not_judge_a_file_has_nothing_read_again(zone, wrong, packs):
     assert (zone.rows(), zone.reasons()) == (ALL, set())
 
 
-def test_an_aircraft_that_comes_onto_the_list_loses_the_note_that_it_was_not(zone):
+def test_listed_aircraft_loses_its_note(zone):
     zone.night(UNCHANGED["a line gone"])
     assert zone.reasons() == {"unknown_tail"}
     assert zone.night(RIGHT) == ["LX-AAA"]
     assert (zone.rows(), zone.reasons()) == (ALL, set())
 
 
-def test_of_two_lines_the_first_counts_and_the_other_is_set_aside(zone):
+def test_first_of_two_lines_counts(zone):
     (zone.landing / "fleet.csv").write_text(HEAD + "AQX,LX-AAA,9,2014-06-01,2\nAQX,LX-AAA,9,2014-06-01,1\n")
     (file,) = (f for f in list_landing(zone.landing).files if f.kind == "fleet")
     log = read_fleet(file, NOW)
@@ -182,7 +182,7 @@ def append(path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(("change", "folders"), CHANGES.values(), ids=CHANGES.keys())
-def test_files_are_known_by_all_that_they_are_judged_by(zone, change, folders):
+def test_digest_covers_what_judges_file(zone, change, folders):
     (zone.landing / "types").mkdir()
     for name in ("ONE", "TWO"):
         (zone.landing / f"types/{name}.toml").write_text(TYPE.format(name=name))
@@ -199,7 +199,7 @@ def test_files_are_known_by_all_that_they_are_judged_by(zone, change, folders):
     assert {path.split("/")[2] for path in before if before[path] != after[path]} == folders
 
 
-def test_a_log_keeps_the_packs_that_are_stored_of_it(zone):
+def test_log_keeps_its_stored_packs(zone):
     """A message of pack 2 is none of an aircraft with one pack, unless it is stored."""
     content = "message_time,flight_id,pack,code,text\n2024-05-02T18:51:18Z,,2,21-52-HXTEMP,\n"
     (zone.landing / "AQX/LX-AAA/messages.csv").write_text(content)

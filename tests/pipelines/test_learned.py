@@ -9,7 +9,7 @@ from pipelines import learned
 from pipelines.learned import recipe
 
 
-def test_the_present_sources_learn_the_shipped_base():
+def test_present_sources_learn_shipped_base():
     """Sources that it was learned from, or found to learn the same, need not learn again; a soak does all the same."""
     if learned.shipped_recipe()["sources"] != recipe.sources() or "HDT_SOAK_KILLS" in os.environ:
         mean, far = recipe.differences()
@@ -17,7 +17,7 @@ def test_the_present_sources_learn_the_shipped_base():
         assert far < recipe.FAR
 
 
-def test_another_line_of_code_is_another_source(monkeypatch, tmp_path):
+def test_changed_code_changes_the_sources(monkeypatch, tmp_path):
     """What is said in comments and docstrings is none."""
     before, code = recipe.sources(), recipe.code_of
     assert code('"""One."""\nx = 1  # one\n') == code('"""Two."""\nx = 1\n')
@@ -27,7 +27,7 @@ def test_another_line_of_code_is_another_source(monkeypatch, tmp_path):
     assert recipe.sources() != before
 
 
-def test_a_base_learned_from_other_inputs_is_refused(monkeypatch):
+def test_stale_base_is_refused(monkeypatch):
     monkeypatch.setattr(learned, "INPUTS", ("another",))
     with pytest.raises(learned.StaleBaseError, match=r"python -m pipelines\.learned"):
         learned.shipped_base()

@@ -52,7 +52,7 @@ def _cells(*rows: tuple[str, str, str, str]) -> pl.DataFrame:
 @pytest.mark.parametrize(
     ("held", "asked", "waits"), [(True, True, False), (True, False, True), (False, True, True), (False, False, True)]
 )
-def test_runs_store_beside_a_night_or_alone(ledger, held, asked, waits):
+def test_shared_turns_overlap(ledger, held, asked, waits):
     """Turns that both share overlap; a turn alone waits for every other, and they for it."""
 
     def store() -> None:
@@ -67,7 +67,7 @@ def test_runs_store_beside_a_night_or_alone(ledger, held, asked, waits):
         other.result(30)
 
 
-def test_what_is_registered_is_known_and_nights_are_told_in_order(ledger):
+def test_ledger_lists_registered_files(ledger):
     sizes_and_times = {path: record[:2] for path, record in ledger.file_records().items()}
     assert sizes_and_times == {"a/1.csv": (2**40, 2**62), "a/m.csv": (1, 1), "b/1.csv": (1, 1)}
     assert ledger.files(["acms", "cpl"])["path"].sort().to_list() == ["a/1.csv", "b/1.csv"]
@@ -85,7 +85,7 @@ def test_what_is_registered_is_known_and_nights_are_told_in_order(ledger):
     assert flight_inputs.height == 3
 
 
-def test_a_cell_marked_again_has_its_last_version(ledger):
+def test_remarked_cell_has_last_version(ledger):
     ledger.mark("raw_flights", _cells((*A, "f1", "v1"), (*A, "f2", "v1"), (*A, "f2", "v2")))
     ledger.mark("raw_flights", _cells((*A, "f1", "v3")))
     ledger.mark("legs_samples", _cells((*A, "f1", "other")))
@@ -94,7 +94,7 @@ def test_a_cell_marked_again_has_its_last_version(ledger):
     assert ledger.cells("raw_flights").height == 2
 
 
-def test_a_run_asks_about_its_own_aircraft_its_flights_and_the_fleet(ledger):
+def test_run_reads_own_aircraft(ledger):
     ledger.mark("raw_flights", _cells((*A, "f1", "v1"), (*B, "f1", "v1"), ("", "", "", "fleet")))
     own = ledger.of([A])
     assert set(own.cells("raw_flights")["tail"]) == {A[1], ""}
@@ -106,7 +106,7 @@ def test_a_run_asks_about_its_own_aircraft_its_flights_and_the_fleet(ledger):
     assert ledger.of([("AAA", "T1")], map(str, range(20_000))).cells("legs_samples").height == 3
 
 
-def test_what_fails_midway_leaves_nothing(ledger, monkeypatch):
+def test_failed_mark_leaves_nothing(ledger, monkeypatch):
     def fail(event: str, *_: object) -> None:
         if event.startswith("hdt."):
             raise OSError(event)
@@ -123,7 +123,7 @@ def _hold(home: Path, ready, over) -> None:
         over.wait()
 
 
-def test_one_night_at_a_time_though_homes_differ_and_the_lock_goes_with_its_process(ledger, tmp_path):
+def test_lock_ends_with_its_process(ledger, tmp_path):
     """A second home stands for a second machine; without a common database each home is a fleet of its own."""
     spawn = multiprocessing.get_context("spawn")
     ready, over = spawn.Event(), spawn.Event()
@@ -147,7 +147,7 @@ def test_one_night_at_a_time_though_homes_differ_and_the_lock_goes_with_its_proc
     pytest.fail("the lock outlived its process")
 
 
-def test_a_ledger_whose_tables_are_yet_to_be_made_reads_as_empty(tmp_path):
+def test_ledger_without_tables_is_empty(tmp_path):
     with closing(sqlite3.connect(tmp_path / FILE)) as con:
         con.execute("pragma journal_mode=wal")
     assert (tmp_path / FILE).stat().st_size
@@ -166,7 +166,7 @@ SECRET = "s3cr3t-word"
         (f"postgresql://hdt:{SECRET}@127.0.0.1:none/x", "no address of the form postgresql://|does not answer"),
     ],
 )
-def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, message, tmp_path, monkeypatch):
+def test_silent_database_hides_the_password(url, message, tmp_path, monkeypatch):
     pytest.importorskip("psycopg2")
     monkeypatch.setenv(database.URL, url)
     ledger = Ledger(tmp_path)
@@ -185,7 +185,7 @@ def test_a_database_that_does_not_answer_is_one_line_without_the_password(url, m
         ("HDT_POSTGRES_URL", "hdt: the database of Dagster's history (dagster.yaml) does not answer: connection to"),
     ],
 )
-def test_the_command_says_it_in_one_line(variable, message, tmp_path):
+def test_command_names_silent_database(variable, message, tmp_path):
     pytest.importorskip("psycopg2")
     for folder in ("landing", "home/dagster"):
         (tmp_path / folder).mkdir(parents=True)
@@ -201,7 +201,7 @@ def test_the_command_says_it_in_one_line(variable, message, tmp_path):
     assert SECRET not in done.stderr + done.stdout
 
 
-def test_what_moved_since_it_was_settled_is_known_until_it_is_settled_again(ledger):
+def test_changed_cells_last_until_settled(ledger):
     one, two = (("AAA/T1/acms/x.csv", "AAA", "T1", "acms", 1, 1, d) for d in "de")
     ledger.register([one], {one[0]: [(*one[1:3], "T1_20260101_01")]})
     assert (ledger.settled_version(), ledger.changed_cells().rows()) == (None, [])  # any cell may be stale
@@ -218,7 +218,7 @@ def test_what_moved_since_it_was_settled_is_known_until_it_is_settled_again(ledg
     assert not ledger.is_settled("so")
 
 
-def test_an_aircrafts_cells_come_as_one_text(ledger):
+def test_aircraft_cells_make_one_text(ledger):
     """Of each aircraft its own, also where one's name begins as another's does."""
     for tail in ("T1", "T10"):
         cells = pl.DataFrame({"operator": "AAA", "tail": tail, "flight_id": list("ba"), "version": list("12")})
@@ -229,7 +229,7 @@ def test_an_aircrafts_cells_come_as_one_text(ledger):
     assert ledger.lines("legs_samples").is_empty()
 
 
-def test_its_tables_are_named_otherwise_than_dagsters():
+def test_table_names_differ_from_dagsters():
     """In PostgreSQL both may live in one database, where `create table if not exists` would take the other's."""
     from dagster._core.storage.event_log.schema import SqlEventLogStorageMetadata
     from dagster._core.storage.runs.schema import RunStorageSqlMetadata

@@ -39,7 +39,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_ledger_is_told_and_put_back(ledger, damage):
+def test_damaged_ledger_is_restored(ledger, damage):
     assert find_ledger_fault(ledger) is None
     DAMAGE[damage](ledger.home / "ledger.sqlite")
     assert find_ledger_fault(ledger)
@@ -49,7 +49,7 @@ def test_a_damaged_ledger_is_told_and_put_back(ledger, damage):
     assert repair_ledger(ledger) is None
 
 
-def test_what_was_written_since_is_no_damage(ledger):
+def test_later_lines_are_no_damage(ledger):
     ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
     assert find_ledger_fault(ledger) is None
     copy_ledger(ledger)
@@ -57,7 +57,7 @@ def test_what_was_written_since_is_no_damage(ledger):
     assert ledger.cells("raw_flights")["version"].to_list() == ["v2"]
 
 
-def test_who_is_killed_at_the_copy_leaves_a_ledger_that_is_whole(ledger, monkeypatch):
+def test_killed_copy_leaves_whole_ledger(ledger, monkeypatch):
     ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
 
     def killed(event: str, *_: object) -> None:
@@ -72,7 +72,7 @@ def test_who_is_killed_at_the_copy_leaves_a_ledger_that_is_whole(ledger, monkeyp
     assert ledger.cells("raw_flights")["version"].to_list() == ["v2"]
 
 
-def test_a_torn_ledger_is_put_back_as_it_was_and_without_a_whole_copy_taken_in_again(ledger):
+def test_torn_ledger_is_restored(ledger):
     ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
     ledger.flush()
     path = ledger.home / "ledger.sqlite"
@@ -85,7 +85,7 @@ def test_a_torn_ledger_is_put_back_as_it_was_and_without_a_whole_copy_taken_in_a
     assert ledger.cells("raw_flights").is_empty()
 
 
-def test_a_home_that_has_no_ledger_yet_lacks_none(tmp_path):
+def test_new_home_lacks_no_ledger(tmp_path):
     assert find_ledger_fault(Ledger(tmp_path)) is None
     assert repair_ledger(Ledger(tmp_path)) is None
 
@@ -113,7 +113,7 @@ def damage(home, name):
 
 
 @pytest.mark.parametrize("name", ["index", "runs"])
-def test_a_damaged_file_is_told_and_a_new_history_begins(history_home, name):
+def test_damaged_history_begins_anew(history_home, name):
     assert replace_damaged_history(history_home, whole=False) is None
     damage(history_home, name)
     assert replace_damaged_history(history_home, whole=False).startswith(
@@ -123,7 +123,7 @@ def test_a_damaged_file_is_told_and_a_new_history_begins(history_home, name):
     assert replace_damaged_history(history_home, whole=False) is None
 
 
-def test_the_file_of_a_run_that_rots_is_found_by_the_doctor(history_home):
+def test_doctor_finds_rotten_run(history_home):
     damage(history_home, RUN)
     assert replace_damaged_history(history_home, whole=False) is None
     assert f"{RUN}.db is damaged" in find_history_fault(history_home)

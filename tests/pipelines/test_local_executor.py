@@ -36,7 +36,7 @@ def small_blocks(monkeypatch) -> None:
     monkeypatch.setattr(nightly, "STAGES", unfolded(stages_of(0, 5)))
 
 
-def test_what_workers_are_forked_from_has_no_threads_of_polars():
+def test_workers_inherit_no_polars_threads():
     """A fork has the locks of the engine's threads and none of the threads: its first query would never end."""
     code = """
 import os
@@ -47,7 +47,7 @@ print(*sorted({open(f"/proc/self/task/{t}/comm").read().strip() for t in os.list
     assert not [name for name in names.split(",") if name.startswith(("polars-0", "polars-1", "async-exec"))], names
 
 
-def test_two_processes_make_what_one_makes_however_runs_are_cut(landing, tmp_path, small_blocks, monkeypatch):
+def test_two_processes_equal_one(landing, tmp_path, small_blocks, monkeypatch):
     """To the last digit: no flight's numbers hang on those it shares a run with."""
     counts = {}
     for jobs in (1, 2):
@@ -62,7 +62,7 @@ def test_two_processes_make_what_one_makes_however_runs_are_cut(landing, tmp_pat
     assert fingerprint(tmp_path / "cut") == fingerprint(tmp_path / "2") == fingerprint(tmp_path / "1")
 
 
-def test_a_worker_that_dies_is_told_and_the_next_night_goes_on(landing, tmp_path, small_blocks):
+def test_night_recovers_from_dead_worker(landing, tmp_path, small_blocks):
     class Killer(Silent):
         """Kills a worker at the first block that is done."""
 
@@ -80,7 +80,7 @@ def test_a_worker_that_dies_is_told_and_the_next_night_goes_on(landing, tmp_path
 @pytest.mark.parametrize(
     ("new", "past", "flights"), [(100, 700, 100), (100, 99_000, 6_600), (5_000, 5_000, 5_000), (0, 8_000, 8_000)]
 )
-def test_a_long_past_is_work_too(new, past, flights):
+def test_long_past_counts_as_work(new, past, flights):
     """A few late flights of many aircraft let features and alerts walk all that these have flown."""
     assert local_executor.equivalent_flights(new, past) == flights
 
@@ -97,7 +97,7 @@ def _night(landing: Path, home: Path) -> None:
         nightly.run_night(landing, home, Teller(), jobs=2)
 
 
-def test_workers_die_with_a_killed_night(landing, tmp_path):
+def test_workers_die_with_their_night(landing, tmp_path):
     night = multiprocessing.get_context("spawn").Process(target=_night, args=(landing, tmp_path))
     night.start()
     pid_file = tmp_path / "workers"
@@ -131,7 +131,7 @@ def cells(instance: dg.DagsterInstance) -> dict[str, set[str]]:
 
 
 @pytest.mark.skipif(not SERVER, reason="HDT_TEST_POSTGRES names no PostgreSQL server")
-def test_a_night_is_recorded_in_postgres_as_in_the_embedded_default(tmp_path, monkeypatch):
+def test_postgres_records_night_like_sqlite(tmp_path, monkeypatch):
     list(write_fleet(tmp_path, 3, FleetSettings(operators=1, tails=2, flights=12)))
     monkeypatch.setattr(nightly, "STAGES", stages_of(0, 5))
     (tmp_path / "production/dagster").mkdir(parents=True)

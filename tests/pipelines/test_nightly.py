@@ -42,7 +42,7 @@ def tables(home) -> dict[str, pl.DataFrame]:
     return {t: f.sort([c for c in f.columns if f[c].dtype != pl.Binary]) for t, f in frames.items()}
 
 
-def test_a_night_without_new_content_makes_nothing(own_home):
+def test_night_without_content_makes_nothing(own_home):
     landing, home = own_home
     before = last_time(home)
     first = run(landing, home)
@@ -52,7 +52,7 @@ def test_a_night_without_new_content_makes_nothing(own_home):
     assert not made_since(home, "raw_flights", before)
 
 
-def test_one_new_flight_makes_that_flight_and_no_other(own_home):
+def test_new_flight_makes_itself_alone(own_home):
     landing, home = own_home
     newest = max((landing / "AQX/LX-AAB/acms").glob("*.csv"))
     text = newest.read_text()
@@ -79,7 +79,7 @@ def test_refused_file_changes_no_model(own_home):
     assert not made_since(home, "calibration_dsm", before)
 
 
-def test_late_twice_and_out_of_order_ends_as_a_clean_delivery(sample_landing, sample_home, tmp_path):
+def test_disorderly_delivery_ends_clean(sample_landing, sample_home, tmp_path):
     """Three nights: first the newest files, then some of them again and the logs, at last the old history."""
     landing, home = tmp_path / "landing", tmp_path / "home"
     shutil.copytree(sample_landing, landing, ignore=shutil.ignore_patterns("history_*", "maintenance.csv", "cpl"))
@@ -101,7 +101,7 @@ def test_late_twice_and_out_of_order_ends_as_a_clean_delivery(sample_landing, sa
         assert ours.equals(theirs), name
 
 
-def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, monkeypatch):
+def test_failed_aircraft_stops_no_other(own_home, monkeypatch):
     landing, home = own_home
     real = raw_assets.ingest_flights
     added = []
@@ -130,7 +130,7 @@ def test_one_aircraft_that_fails_does_not_stop_the_others(own_home, monkeypatch)
         assert con.execute("select count(*) from tables.raw_flights where flight_id = ?", [added[0]]).fetchone()[0] == 1
 
 
-def test_a_hook_that_fails_or_is_not_there_keeps_none_of_the_others(monkeypatch, tmp_path):
+def test_failed_hook_stops_no_other(monkeypatch, tmp_path):
     values = {"c": "posixpath:exists_not", "b": "posixpath:islink", "a": "no_such_module:f", "d": ""}
     points = [EntryPoint(name, value, "hdt.after_night") for name, value in values.items()]
     monkeypatch.setattr(around_night, "entry_points", lambda group: points)

@@ -38,7 +38,7 @@ def version(store: Store) -> list[str]:
 
 
 @pytest.mark.parametrize("point", OF_OBJECTS)
-def test_a_killed_writer_leaves_the_old_or_the_new_and_no_mixture(s3_url, tmp_path, point):
+def test_killed_writer_leaves_no_mixture(s3_url, tmp_path, point):
     store = Store(tmp_path, s3_url)
     write(store, "old")
     row = json.dumps([{"model_version": "new", "card": "{}", "model": ""}])
@@ -51,7 +51,7 @@ def test_a_killed_writer_leaves_the_old_or_the_new_and_no_mixture(s3_url, tmp_pa
     assert len(files) == (1 if point == "before_write" else 2)
 
 
-def test_a_catalog_reads_the_objects_of_its_hour(s3_url, tmp_path, monkeypatch):
+def test_catalog_keeps_to_its_hour(s3_url, tmp_path, monkeypatch):
     monkeypatch.setenv(URL, s3_url)
     store = Store(tmp_path)
     write(store, "1")
@@ -75,7 +75,7 @@ FORBIDDEN = (
 )
 
 
-def test_through_the_catalog_nothing_but_the_tables_is_reached(s3_url, tmp_path, monkeypatch):
+def test_catalog_reaches_tables_alone(s3_url, tmp_path, monkeypatch):
     monkeypatch.setenv(URL, s3_url)
     write(Store(tmp_path), "1")
     publish(tmp_path)
@@ -89,7 +89,7 @@ def test_through_the_catalog_nothing_but_the_tables_is_reached(s3_url, tmp_path,
     assert set(bucket(s3_url).sizes("")) == before
 
 
-def test_a_catalog_of_another_store_is_told_and_stays(s3_url, tmp_path, monkeypatch):
+def test_catalog_of_other_store_stays(s3_url, tmp_path, monkeypatch):
     """Whoever forgets the variable must not publish a catalog over no tables."""
     monkeypatch.setenv(URL, s3_url)
     publish(tmp_path)
@@ -101,7 +101,7 @@ def test_a_catalog_of_another_store_is_told_and_stays(s3_url, tmp_path, monkeypa
     assert (tmp_path / "catalog.duckdb").read_bytes() == before
 
 
-def test_a_night_on_objects_ends_as_one_on_files(s3_url, sample_landing, sample_home, tmp_path, monkeypatch):
+def test_night_on_objects_equals_files(s3_url, sample_landing, sample_home, tmp_path, monkeypatch):
     base = Store(sample_home).read_table("prognosis_base")
     monkeypatch.setenv(URL, s3_url)
     home = tmp_path / "home"
@@ -121,7 +121,7 @@ def test_a_night_on_objects_ends_as_one_on_files(s3_url, sample_landing, sample_
     assert set(rows) == set(views())
 
 
-def test_a_refusal_is_told_in_one_line_without_the_key(s3_url, tmp_path, monkeypatch):
+def test_refusal_hides_the_key(s3_url, tmp_path, monkeypatch):
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "a-wrong-secret")
     with pytest.raises(StoreError, match="privileges") as error:
         Store(tmp_path, s3_url).read_table(TABLE)

@@ -65,13 +65,13 @@ def flown(page: Page, aircraft: str) -> list[str]:
 
 # the calibration's, three seconds, is made beside a flight's below
 @pytest.mark.parametrize("stage", [s for s in STAGES if s.name != "calibration"], ids=lambda stage: stage.name)
-def test_a_cell_of_any_asset(page, stage):
+def test_remade_cell_changes_nothing(page, stage):
     cell = {"flight": flown(page, ONE)[40], "aircraft": ONE, "fleet": None}[stage.grain]
     page.materialize([stage.name], partition_key=cell)
     assert changed(page) == []
 
 
-def test_a_range_over_two_aircraft_with_flights_that_only_one_has_flown(page):
+def test_remade_range_changes_nothing(page):
     first, last = flown(page, ONE)[40], flown(page, OTHER)[60]
     per_flight = [stage.name for stage in STAGES if stage.grain == "flight"]
     page.materialize(per_flight, tags=range_tags(first, last))
@@ -79,7 +79,7 @@ def test_a_range_over_two_aircraft_with_flights_that_only_one_has_flown(page):
     assert changed(page) == []
 
 
-def test_a_cell_beside_an_asset_of_the_whole_fleet_and_a_run_that_names_none(page):
+def test_cell_beside_fleet_changes_nothing(page):
     """One run makes a flight of the one and all of the other."""
     page.materialize(["twin_flights", "calibration"], partition_key=flown(page, ONE)[40])
     assert changed(page) == []

@@ -82,7 +82,7 @@ def _same(one: pl.Series, other: pl.Series) -> bool:
     return one.equals(other)
 
 
-def test_in_the_end_every_table_and_view_is_the_same(nights, at_once):
+def test_monthly_nights_end_the_same(nights, at_once):
     last = nights[NIGHTS[-1]]
     assert last.keys() == at_once.keys()
     assert len(at_once) > 80
@@ -92,7 +92,7 @@ def test_in_the_end_every_table_and_view_is_the_same(nights, at_once):
     assert last["prognoses"].height > 2500
 
 
-def test_what_a_night_left_stands(nights, at_once):
+def test_later_nights_revise_no_row(nights, at_once):
     """Each night's rows of flights up to it are those of the whole record, but for what is declared."""
     version = at_once["tables.calibration_dsm"]["dsm_version"]
     settled = [end for end in NIGHTS[:-1] if nights[end]["tables.calibration_dsm"]["dsm_version"].equals(version)]

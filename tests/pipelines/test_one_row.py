@@ -43,7 +43,7 @@ def run(command: str, home: Path, *more: str, before: str = "") -> str:
 
 
 @pytest.mark.parametrize("output", ["report", "orders", "case list", "digest", "page"])
-def test_every_unit_that_needs_work_stands_there(units, outputs, output):
+def test_output_lists_units_needing_work(units, outputs, output):
     missing = [unit.name() for unit in units if f"{unit['tail']} pack {unit['pack']}" not in names_in(outputs[output])]
     assert missing == []
 
@@ -54,7 +54,7 @@ def names_in(text: str) -> str:
 
 
 @pytest.mark.parametrize("output", ["report", "digest", "page"])
-def test_the_thing_to_do_has_the_same_words(units, outputs, output):
+def test_task_has_the_same_words(units, outputs, output):
     assert [unit.name() for unit in units if unit.to_do() not in outputs[output]] == []
 
 
@@ -64,6 +64,6 @@ def test_explain_has_the_same_words(sample_home, units):
     assert [(name, part) for name, part in parts if part not in texts[name]] == []
 
 
-def test_message_on_record_has_its_noun_once():
+def test_message_phrase_has_one_noun():
     raised = UnitRow({"message_at": date(2024, 6, 9), "message_flights": 1, "message_flown": 4}, {})
     assert raised.message_phrase() == "message raised on 2024-06-09, not answered"

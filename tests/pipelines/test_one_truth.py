@@ -88,7 +88,7 @@ def part(report: str, name: str) -> str:
     return text.replace("\N{NO-BREAK SPACE}", " ")
 
 
-def test_one_order_and_one_badge_wherever_an_alert_is_told_of(home, report):
+def test_catalog_orders_by_urgency(home, report):
     with connect(home) as con:
         opened = con.sql("select alert_id, urgency from open_alerts order by place").fetchall()
         packs = con.sql("select tail, pack, urgency, diagnoses from fleet_ranking order by place").fetchall()
@@ -111,7 +111,7 @@ def test_one_order_and_one_badge_wherever_an_alert_is_told_of(home, report):
         assert f"{URGENCY[urgency]}. Alert {name}." in str(explain(home, name))
 
 
-def test_other_places_share_the_order_that_follows_the_prognosis(home, capsys):
+def test_other_outputs_share_the_order(home, capsys):
     """Terminal, digest, orders and `case list`."""
     with connect(home) as con:
         packs = [f"{t} {p}" for t, p in con.sql("select tail, pack from fleet_ranking order by place").fetchall()]
@@ -128,7 +128,7 @@ def test_other_places_share_the_order_that_follows_the_prognosis(home, capsys):
 
 
 @pytest.mark.parametrize(("chance", "urgency"), [(0.501, "act"), (0.499, "plan"), (0.101, "plan"), (0.099, "none")])
-def test_the_chance_before_the_next_chance_to_act_decides(chance, urgency):
+def test_chance_decides_the_urgency(chance, urgency):
     """30 flights lie before the end of 30 days: the hazard between 25 and 50 flights is even."""
     points = {f"p_event_{n}": min(1.0, chance * n / 30) for n in (25, 50, 100, 200, 300)}
     points["p_event_50"] = 1 - (1 - chance) ** 5 / (1 - points["p_event_25"]) ** 4
@@ -141,7 +141,7 @@ def test_the_chance_before_the_next_chance_to_act_decides(chance, urgency):
     assert (got, ranked) == (urgency, [(urgency,)])
 
 
-def test_a_card_tells_then_from_now(report):
+def test_card_parts_then_from_now(report):
     """What was true when it was raised and what is true now, each with its date, in the same words."""
     card = part(report, "tracks").partition("case aaaa1111")[2].partition("case bbbb2222")[0]
     then, now = re.split(r"\bNow\b", card.partition("When raised")[2], maxsplit=1)
@@ -157,7 +157,7 @@ def test_a_card_tells_then_from_now(report):
 
 
 @pytest.mark.parametrize("words", ["T-1", "t-1", "T-1 1", "T-1/1", "AAA T-1", "AAA T-1 1", "T-1 pack 1 (left)"])
-def test_a_pack_may_be_named_as_night_and_report_name_it(home, words):
+def test_any_name_explains_the_pack(home, words):
     answer = str(explain(home, words))
     head = "AAA T-1 pack 1 (left): Act now since 2024-04-10. Heat transfer lost 34 % (32 to 36); flights left 24"
     assert answer.startswith(f"{head} (12 to 36)")
@@ -166,7 +166,7 @@ def test_a_pack_may_be_named_as_night_and_report_name_it(home, words):
     assert "flights left (90 %) 24 (12 to 36); message in 50 flights 88 %. Now aaaa1111." in now
 
 
-def test_a_tail_names_its_worst_pack_and_not_its_latest_alert(home):
+def test_tail_explains_its_worst_pack(home):
     answer = str(explain(home, "T-2"))
     assert answer.startswith("AAA T-2 pack 2 (right): Act now since")
     assert "Do bbbb2222." in answer
@@ -176,7 +176,7 @@ def test_a_tail_names_its_worst_pack_and_not_its_latest_alert(home):
     assert "Do bbbb2222." not in other
 
 
-def test_a_pack_without_an_open_alert_says_so_and_words_without_quotes_are_one_name(home):
+def test_quiet_pack_names_last_alert(home):
     answer = str(explain(home, "T-1 2"))
     assert "No alert is open. The last, sensor fault, closed 2024-03-21: alert cccc1111." in answer
     closed = str(explain(home, "cccc1111"))
@@ -191,7 +191,7 @@ def test_a_pack_without_an_open_alert_says_so_and_words_without_quotes_are_one_n
     ("words", "message"),
     [("bbbb", "2 alerts begin with bbbb"), ("T-1 3", "no pack or alert"), ("", "no pack or alert")],
 )
-def test_what_names_nothing_ends_in_one_line(home, words, message, capsys):
+def test_unknown_name_is_refused(home, words, message, capsys):
     done = CliRunner().invoke(app, ["explain", words, "--home", str(home)])
     assert done.exit_code != 0
     assert message in str(done.exception)

@@ -12,7 +12,7 @@ from pipelines.orchestration.runs import RemoteExecutor, Runner
 from pipelines.resources import NIGHT
 
 
-def test_every_stage_is_made_once_and_after_what_it_needs():
+def test_stage_follows_what_it_needs():
     there: set[str] = set()
     for step in steps(STAGES):
         assert len({stage.grain for stage in step.stages}) == 1
@@ -23,7 +23,7 @@ def test_every_stage_is_made_once_and_after_what_it_needs():
     assert there == {table for stage in STAGES for table in stage.tables}
 
 
-def test_a_night_takes_eleven_runs_each_with_a_name():
+def test_night_takes_eleven_runs():
     """Fleet, aircraft and flights are taken in; the model; own components and their sisters; all are followed."""
     assert [s.grain for s in steps(STAGES)] == [
         "fleet",
@@ -46,7 +46,7 @@ HEALTH = {"twin_health", "legs_admitted", "features", "features_alerts", "raw_ca
         ("features_alerts", {"features_alerts", "raw_cases"}),
     ],
 )
-def test_of_a_run_only_stages_are_made_that_follow_from_a_stale_one(stale, made):
+def test_step_makes_stale_stages_only(stale, made):
     (step,) = [step for step in steps(STAGES) if STAGE[stale] in step.stages]
     assert step.tables([stale]) == [t for stage in step.stages if stage.name in made for t in stage.tables]
     assert step.tables([]) == []
@@ -61,11 +61,11 @@ CHAIN = (
 
 
 @pytest.mark.parametrize("declared", list(permutations(CHAIN)), ids=lambda stages: "-".join(s.name for s in stages))
-def test_it_does_not_matter_in_which_order_a_chain_is_declared(declared):
+def test_order_of_declaration_is_free(declared):
     assert [[s.name for s in step.stages] for step in steps(declared)] == [["one", "two"], ["three"], ["four"]]
 
 
-def test_a_circle_is_named():
+def test_cycle_is_named():
     circle = declare_stage("legs", "any", "legs_samples", parents=("residuals",))
     with pytest.raises(ValueError, match="form a cycle: legs, residuals"):
         steps([circle, declare_stage("residuals", "any", "residuals", parents=("legs_samples",))])
@@ -101,7 +101,7 @@ def shared(flights: dict[str, int], keys: list[str]) -> list[tuple[str, ...]]:
         (1, [tuple(KEYS)]),
     ],
 )
-def test_aircraft_share_a_run_up_to_a_number_of_flights(each, expected):
+def test_aircraft_share_runs_by_flights(each, expected):
     assert shared(dict.fromkeys(KEYS, each), KEYS) == expected
     assert shared(dict.fromkeys(KEYS, 1), [KEYS[0], *KEYS[2:]]) == [("AAA:T1",), ("AAA:T3", "BBB:T4")], "one not wanted"
 
@@ -115,7 +115,7 @@ def test_processes_share_runs_evenly():
     assert [b.size for b in index.batches("aircraft", cells, batch_factor=2)] == [17, 17, 16]
 
 
-def test_batches_of_flights_hold_the_wanted_cells_and_no_other():
+def test_batches_hold_wanted_cells_alone():
     flown = {"AAA:T1": {*FLIGHTS}, "AAA:T2": {*FLIGHTS[1:4]}, "BBB:T4": {FLIGHTS[0], FLIGHTS[4]}}
     index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     expected_cells = {("AAA:T1", f) for f in FLIGHTS if f != FLIGHTS[2]} | {("AAA:T2", f) for f in FLIGHTS[1:4]}
@@ -125,7 +125,7 @@ def test_batches_of_flights_hold_the_wanted_cells_and_no_other():
     assert sorted(batch_cells) == sorted(f"{a}|{f}" for a, f in expected_cells)
 
 
-def test_a_long_history_takes_several_runs(monkeypatch):
+def test_long_history_takes_several_runs(monkeypatch):
     monkeypatch.setattr(batches, "CELLS_A_RUN", 2)
     index = batches.PartitionIndex(KEYS[:1], FLIGHTS, {KEYS[0]: {*FLIGHTS}})
     cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": [f"T1_{f}" for f in FLIGHTS]})
@@ -134,7 +134,7 @@ def test_a_long_history_takes_several_runs(monkeypatch):
     assert [(*b.flights, b.size) for b in runs] == ends
 
 
-def test_what_is_new_of_many_aircraft_on_many_days_is_one_run_of_those_cells_alone():
+def test_scattered_flights_share_one_run():
     flown = {key: {*FLIGHTS} for key in KEYS}
     index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     pairs = list(zip(KEYS, (FLIGHTS[3], FLIGHTS[0], FLIGHTS[4], FLIGHTS[1]), strict=True))
@@ -147,7 +147,7 @@ def test_what_is_new_of_many_aircraft_on_many_days_is_one_run_of_those_cells_alo
     assert [part.aircraft for part in one.parts()] == [[key] for key in KEYS]
 
 
-def test_scattered_cells_share_a_run_up_to_its_number_of_flights():
+def test_scattered_aircraft_share_one_run():
     index = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(4)} for key in KEYS})
     cells = cells_of(("AAA", "T1", ""), ("AAA", "T3", ""))
     (one,) = index.batches("aircraft", cells)
@@ -156,7 +156,7 @@ def test_scattered_cells_share_a_run_up_to_its_number_of_flights():
     assert len(list(index.batches("aircraft", cells))) == 2
 
 
-def test_a_range_of_flights_reaches_over_aircraft_only_where_no_other_was_flown():
+def test_range_holds_no_other_flight():
     flown = {"AAA:T1": {FLIGHTS[0], FLIGHTS[1]}, "AAA:T2": {FLIGHTS[1]}, "AAA:T3": {FLIGHTS[0]}, "BBB:T4": set()}
     index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     rows = [("AAA", "T1", f"T1_{FLIGHTS[1]}"), ("AAA", "T2", f"T2_{FLIGHTS[1]}"), ("AAA", "T3", f"T3_{FLIGHTS[0]}")]
@@ -165,7 +165,7 @@ def test_a_range_of_flights_reaches_over_aircraft_only_where_no_other_was_flown(
     assert keys == [[f"AAA:T1|{FLIGHTS[1]}", f"AAA:T2|{FLIGHTS[1]}"], [f"AAA:T3|{FLIGHTS[0]}"]]
 
 
-def test_a_batch_of_one_aircraft_is_parted_into_halves_and_a_single_cell_not_at_all():
+def test_batch_splits_into_halves():
     batch = batches.PartitionBatch(tuple((KEYS[0], f) for f in FLIGHTS), (FLIGHTS[0], FLIGHTS[-1]))
     one, two = batch.parts()
     assert one.partition_keys() + two.partition_keys() == batch.partition_keys()
@@ -185,7 +185,7 @@ class Together(Runner):
         return 0, why
 
 
-def test_a_run_that_only_fails_for_several_aircraft_at_once_is_told(monkeypatch):
+def test_common_failure_is_mended_alone(monkeypatch):
     batch = batches.PartitionBatch(tuple((key, "") for key in KEYS))
     done = Together(None, None, None, {}).make([], batch, "alerts")
     assert (done.runs, done.failed) == (5, {})
@@ -207,7 +207,7 @@ class OfOneAircraft(Runner):
         return f"flight {batch.flights[0]}"
 
 
-def test_halves_that_are_made_mend_a_batch_and_each_reason_is_told_once_with_its_flights():
+def test_halves_mend_a_batch():
     batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(4)))
     done = OfOneAircraft(None, None, None, {}).make([], batch, "legs")
     line = "legs: a run of 1 aircraft stopped, so each part was made alone; report it: disk full"
@@ -217,7 +217,7 @@ def test_halves_that_are_made_mend_a_batch_and_each_reason_is_told_once_with_its
     assert list(done.failed.values()) == ["flight 3, flight 6: boom; flight 5: bang"]
 
 
-def test_ends_of_a_batch_follow_the_partitions_and_not_the_names():
+def test_batch_ends_follow_the_partitions():
     late = [*FLIGHTS[1:], FLIGHTS[0]]
     index = batches.PartitionIndex(KEYS, late, {KEYS[0]: {*FLIGHTS}})
     cells = cells_of(*(("AAA", "T1", f"T1_{flight}") for flight in FLIGHTS))
@@ -246,7 +246,7 @@ def start(instance: dg.DagsterInstance, run: dg.DagsterRun) -> None:
 
 
 @pytest.mark.parametrize(("tags", "is_failed"), [(NIGHT, True), ({"user": "an engineer"}, False)])
-def test_only_runs_of_a_killed_night_are_failed(runner, tags, is_failed):
+def test_only_orphaned_runs_are_failed(runner, tags, is_failed):
     run = runner.instance.create_run_for_job(no_work, tags=tags)
     start(runner.instance, run)
 
@@ -255,7 +255,7 @@ def test_only_runs_of_a_killed_night_are_failed(runner, tags, is_failed):
     assert runner.instance.get_run_by_id(run.run_id).is_failure == is_failed
 
 
-def test_runs_sent_out_by_a_killed_night_are_awaited(runner, monkeypatch):
+def test_orphaned_remote_runs_are_awaited(runner, monkeypatch):
     answers = iter([True, True, False])
     waits = []
     monkeypatch.setattr(runs, "daemon_answers", lambda instance: True)

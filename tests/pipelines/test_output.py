@@ -41,7 +41,7 @@ def printed(*words: str, encoding: str) -> str:
 @pytest.mark.parametrize(
     ("form", "limit"), [("parquet", 10), ("csv", 10), ("duckdb", 100), ("duckdb", 50_000), ("duckdb", 500_000)]
 )
-def test_export_on_full_disk_ends_in_one_line(tmp_path, form, limit):
+def test_full_disk_ends_an_export(tmp_path, form, limit):
     empty_home(tmp_path / "home")
 
     with file_limit(limit):
@@ -59,7 +59,7 @@ def test_text_is_escaped_in_ascii(tmp_path):
     assert r"| \u00e9 \ud83d\ude00" in text
 
 
-def test_home_without_packs_prints_an_empty_ranking(tmp_path, capsys):
+def test_home_without_packs_prints_ranking(tmp_path, capsys):
     empty_home(tmp_path)
     publish(tmp_path)
 

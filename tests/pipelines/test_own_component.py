@@ -142,7 +142,7 @@ def query_rows(world: dict[str, Any], sql: str) -> list[tuple[Any, ...]]:
         return con.sql(sql).fetchall()
 
 
-def test_the_page_says_what_the_night_found(world):
+def test_howto_page_matches_the_night(world):
     (promised,) = blocks("text")
     assert hdt(world, "explain", "COOLER 1").stdout.startswith(promised.strip())
     assert "Other components most in need of attention" in world["said"]
@@ -156,7 +156,7 @@ def test_the_page_says_what_the_night_found(world):
             assert query_rows(world, sql)
 
 
-def test_the_alert_comes_before_the_message_of_a_loss_known_as_made(world):
+def test_alert_precedes_the_message(world):
     """Within four of its own standard deviations, and 0.01 in the mean."""
     sql = "select tail, flight_id, value, sd from health_parameters where parameter = 'ng_efficiency_loss' order by all"
     for tail in TRUTH:
@@ -187,7 +187,7 @@ def test_the_alert_comes_before_the_message_of_a_loss_known_as_made(world):
     assert sound < 0.1
 
 
-def test_bad_rows_are_told_and_cost_nothing_else_and_the_report_names_each_unit(world, tmp_path):
+def test_bad_rows_cost_themselves_alone(world, tmp_path):
     sql = "select row, column_name, reason from quarantine where file like '%AQ-SOUND/ng/%' order by all"
     entries = set(query_rows(world, sql))
     assert {
@@ -204,7 +204,7 @@ def test_bad_rows_are_told_and_cost_nothing_else_and_the_report_names_each_unit(
     assert "AQ-WORN nitrogen compressor 2" in text
 
 
-def test_a_second_night_takes_in_what_is_new_of_one_aircraft_alone(world):
+def test_second_night_takes_new_flight(world):
     sql = "select tail, count(*) from component_features group by tail"
     before = dict(query_rows(world, sql))
     late = flight_id("AQ-SOUND", FLIGHTS)

@@ -32,7 +32,7 @@ def calibrated():
     return fleet, dsm, estimate_flights(fleet.samples, dsm)
 
 
-def test_figures_are_pictures_and_tables_hold_every_form_and_unit(calibrated):
+def test_figures_are_pictures(calibrated):
     fleet, dsm, flights = calibrated
     metadata = calibration_metadata(fleet.samples, flights, fleet.maintenance, dsm)
     for name in ("figure_12", "figure_13", "figure_15"):
@@ -46,7 +46,7 @@ def test_figures_are_pictures_and_tables_hold_every_form_and_unit(calibrated):
     assert metadata["units_that_drift"] == 2
 
 
-def test_line_of_figure_12_follows_the_diffuser_and_its_image_is_the_same_bytes(calibrated, monkeypatch):
+def test_line_of_figure_12_follows_diffuser(calibrated, monkeypatch):
     _, dsm, flights = calibrated
     fit = replace(dsm.compressor, group_m3=9e-4, vda_counts=400.0, group_slope_m3_per_count=5e-7)
     counts, group = figure_12(flights, fit).axes[0].lines[-1].get_data()
@@ -62,7 +62,7 @@ def test_line_of_figure_12_follows_the_diffuser_and_its_image_is_the_same_bytes(
 
 
 @pytest.mark.parametrize(("draw", "column"), [(figure_12, "group_m3"), (figure_13, "diameter_m")])
-def test_dots_are_the_flights_and_the_other_system_is_the_same_converted(calibrated, draw, column):
+def test_dots_are_the_flights(calibrated, draw, column):
     _, dsm, flights = calibrated
     si, us = (draw(flights, dsm.compressor, system).axes[0] for system in ("si", "us"))
     dots, line = si.lines
@@ -74,7 +74,7 @@ def test_dots_are_the_flights_and_the_other_system_is_the_same_converted(calibra
     assert (si.get_ylabel().split()[-1], us.get_ylabel().split()[-1]) in {("m³", "in³"), ("mm", "in")}
 
 
-def test_figure_15_shows_what_the_twins_flight_leaves_over_and_converts_it(calibrated):
+def test_figure_15_shows_the_residuals(calibrated):
     fleet, dsm, flights = calibrated
     one = (pl.col("flight_id") == fleet.samples["flight_id"][-1]) & (pl.col("pack") == 1)
     rows = outlet_residuals(fleet.samples.filter(one), flights.filter(one), dsm)
@@ -92,7 +92,7 @@ def test_figure_15_shows_what_the_twins_flight_leaves_over_and_converts_it(calib
     assert MOST_DOTS / 2 < len(figure_15(many).axes[0].lines[0].get_ydata()) <= MOST_DOTS
 
 
-def test_the_deepest_loss_before_a_replacement_is_shown_from_the_first_flight_after_it():
+def test_deepest_replaced_loss_is_drawn():
     start, replaced = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC), 40
     own = {"operator": "AAA", "pack": 1}
     shares = [
@@ -109,7 +109,7 @@ def test_the_deepest_loss_before_a_replacement_is_shown_from_the_first_flight_af
     assert rows["n"].to_list() == list(range(-replaced - 1, 80 - replaced - 1))
 
 
-def test_without_a_flight_or_its_estimate_there_is_still_something_to_show(calibrated):
+def test_no_flight_leaves_a_summary(calibrated):
     fleet, model, _ = calibrated
     none = fleet.samples.clear()
     dsm = calibrate(none, fleet.legs.clear(), fleet.maintenance)

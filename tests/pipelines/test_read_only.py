@@ -58,7 +58,7 @@ def words_of(command: str, landing: Path, home: Path, out: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("command", LOOKS)
-def test_what_only_looks_needs_no_leave_to_write(read_only, tmp_path, command):
+def test_reading_needs_no_write_permission(read_only, tmp_path, command):
     landing, home = read_only
     run = [sys.executable, "-c", "from pipelines.cli import main; main()", *words_of(command, landing, home, tmp_path)]
     done = subprocess.run(run, capture_output=True, text=True, check=False, preexec_fn=as_anybody)
@@ -70,14 +70,14 @@ def test_what_only_looks_needs_no_leave_to_write(read_only, tmp_path, command):
 
 
 @pytest.mark.parametrize("command", ["status", "query", "nightly", "doctor"])
-def test_what_only_looks_leaves_no_trace(own_home, tmp_path, command):
+def test_reading_leaves_no_trace(own_home, tmp_path, command):
     landing, home = own_home
     before = tree(home)
     assert hdt(*words_of(command, landing, home, tmp_path)).returncode == 0
     assert tree(home) == before
 
 
-def test_a_ledger_that_a_writer_was_killed_at_is_read_whole(own_home):
+def test_killed_writers_ledger_reads_whole(own_home):
     """Its last commit is in the log beside it."""
     _, home = own_home
     writes = (
@@ -93,7 +93,7 @@ def test_a_ledger_that_a_writer_was_killed_at_is_read_whole(own_home):
         permit(home, writing=True)
 
 
-def test_a_ledger_is_read_whole_while_another_writes_it(tmp_path):
+def test_ledger_reads_whole_while_written(tmp_path):
     """Each commit adds a pair, of which a reader sees both or none."""
     ledger, over, n_files = Ledger(tmp_path), threading.Event(), []
     ledger.register([], {})

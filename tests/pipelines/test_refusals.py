@@ -73,7 +73,7 @@ def zone(tmp_path) -> tuple[Path, Path]:
     return tmp_path / "landing", empty_home(tmp_path / "home").home
 
 
-def test_a_column_refused_wholesale_is_told_with_since_when_and_its_likely_unit(zone):
+def test_silent_column_names_likely_unit(zone):
     landing, home = zone
     drop(landing, [as_it_is, KNOTS, as_it_is, KNOTS, KNOTS])
     night(landing, home)
@@ -95,7 +95,7 @@ def test_a_column_refused_wholesale_is_told_with_since_when_and_its_likely_unit(
         assert silent_columns(con) == []
 
 
-def test_whole_rows_refused_are_silence_and_a_spike_is_none(zone):
+def test_refused_rows_are_silence(zone):
     landing, home = zone
     drop(landing, [as_it_is, LATE, LATE])
     night(landing, home)
@@ -108,7 +108,7 @@ def test_whole_rows_refused_are_silence_and_a_spike_is_none(zone):
         assert silent_columns(con) == []
 
 
-def test_a_night_that_set_rows_aside_says_how_many_of_which_file_and_why(zone):
+def test_night_counts_refused_rows(zone):
     landing, home = zone
     drop(landing, [as_it_is, LATE])
     new_paths = night(landing, home)
@@ -120,7 +120,7 @@ def test_a_night_that_set_rows_aside_says_how_many_of_which_file_and_why(zone):
     assert 'hdt query "select * from quarantine where n_rows > 0"' in line
 
 
-def test_doctor_judges_what_files_hold_and_not_their_names_alone(zone):
+def test_doctor_judges_contents(zone):
     landing, _ = zone
     drop(landing, [as_it_is] * 4)
     checks = {c.name: c for c in examine(landing, None)}
@@ -136,7 +136,7 @@ def test_doctor_judges_what_files_hold_and_not_their_names_alone(zone):
     assert (len(legs), legs) == (FILES_A_FOLDER, ["01", "05", "06"]), "of each folder the oldest and the newest"
 
 
-def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
+def test_stray_names_share_lines(zone):
     landing, _ = zone
     drop(landing, [as_it_is])
     for name in ("AQXLONGNAME", "aqx", "AQX/lx-aaa"):
@@ -155,14 +155,14 @@ def test_names_that_fit_nothing_are_told_and_those_alike_share_a_line(zone):
     assert len(ignored_entries(many)) == MAX_LINES + 1
 
 
-def test_a_night_begun_again_keeps_what_came_and_what_was_not_read():
+def test_resumed_night_keeps_both_halves():
     first = Night(3, 2, 1, 4, {"AAA": "damage"}, ("a",), ("old",), frozenset({"p"}))
     both = first.combine(Night(3, 1, 2, 5, {}, ("b",), ("name",), frozenset({"q"})))
     assert (both.files, both.new_files, both.runs, both.cells, both.failed) == (3, 3, 3, 9, {})
     assert (both.repairs, both.ignored_names, both.new_paths) == (("a", "b"), ("name",), {"p", "q"})
 
 
-def test_the_terminal_says_what_the_night_did_not_take(zone, capfd):
+def test_terminal_names_refused_input(zone, capfd):
     """Through the command itself: what a night hands over to who prints it is not lost on the way."""
     landing, home = zone
     drop(landing, [as_it_is, KNOTS, KNOTS, KNOTS])
@@ -218,7 +218,7 @@ def test_doctor_reads_every_new_file(zone):
     assert check.message == "AQX/LX-AAA/acms/LX-AAA_20240525_03.csv: The file is empty."
 
 
-def test_doctor_names_aircraft_that_the_fleet_list_lacks(zone):
+def test_doctor_names_unlisted_aircraft(zone):
     landing, _ = zone
     drop(landing, [as_it_is])
     (landing / "fleet.csv").write_text("operator,tail,packs\nAQX,LX-AAB,2\n")
@@ -228,7 +228,7 @@ def test_doctor_names_aircraft_that_the_fleet_list_lacks(zone):
     assert check.message == "fleet.csv lacks AQX LX-AAA"
 
 
-def test_file_of_a_time_beyond_the_ledger_is_refused_alone(zone):
+def test_absurd_file_time_is_refused(zone):
     landing, home = zone
     drop(landing, [as_it_is, as_it_is])
     far = landing / "AQX/LX-AAA/acms/LX-AAA_20240525_02.csv"

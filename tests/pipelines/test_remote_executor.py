@@ -96,7 +96,7 @@ def night_over(fleet) -> nightly.Night:
         return nightly.run_night(fleet.landing, home, Silent())
 
 
-def test_two_workers_make_what_one_process_makes_and_nothing_twice(fleet, alone):
+def test_two_workers_equal_one_process(fleet, alone):
     began = fleet.now()
     done = night_over(fleet)
     assert (done.failed, done.runs) == ({}, alone[1])
@@ -106,7 +106,7 @@ def test_two_workers_make_what_one_process_makes_and_nothing_twice(fleet, alone)
     assert not (fleet.home("night") / "ledger.sqlite").exists()
 
 
-def test_a_killed_worker_and_a_broker_that_restarts_lose_nothing(fleet, alone):
+def test_killed_worker_loses_nothing(fleet, alone):
     from benchmarks.site import restart_broker, wait
 
     def strike() -> None:
@@ -123,7 +123,7 @@ def test_a_killed_worker_and_a_broker_that_restarts_lose_nothing(fleet, alone):
     assert "no worker has been at it" in fleet.read_log("daemon")
 
 
-def test_an_aircraft_that_fails_is_told_and_the_others_are_made(fleet, monkeypatch):
+def test_failed_aircraft_stops_no_other(fleet, monkeypatch):
     monkeypatch.setattr(batches, "CELLS_A_RUN", 24)  # two aircraft a run
     monkeypatch.setattr(nightly, "STAGES", stages_of(0, 1, nightly.STAGES))
     operator = sorted(fleet.landing.glob("*/*"))[0]
@@ -146,7 +146,7 @@ def _night(landing: Path, home: Path) -> None:
             nightly.run_night(landing, home, Silent())
 
 
-def test_another_night_goes_on_where_a_killed_one_left_and_two_at_once_double_nothing(fleet, alone):
+def test_night_resumes_a_killed_one(fleet, alone):
     from benchmarks.site import wait
 
     began, other = fleet.now(), fleet.home("other")
@@ -170,12 +170,12 @@ def test_another_night_goes_on_where_a_killed_one_left_and_two_at_once_double_no
     assert fleet.made_twice(began) == []
 
 
-def test_without_a_daemon_it_is_said(fleet):
+def test_missing_daemon_is_named(fleet):
     fleet.kill("daemon")
     fleet.rows("delete from daemon_heartbeats")
     with pytest.raises(EngineError, match="no Dagster daemon answers; start one"):
         night_over(fleet)
 
 
-def test_the_processes_said_no_password(elsewhere):
+def test_logs_hold_no_password(elsewhere):
     assert "guest:guest" not in "".join(elsewhere.read_log(name) for name in ("one", "two", "daemon"))

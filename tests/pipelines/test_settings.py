@@ -72,13 +72,13 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("read", "name", "text", "message"), WRONG)
-def test_what_is_wrong_is_named_with_its_file(tmp_path, read, name, text, message):
+def test_wrong_value_names_its_file(tmp_path, read, name, text, message):
     (tmp_path / name).write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises({receivers_of: NotifyError, read_costs: CostError}.get(read, StoreError), match=message):
         read(tmp_path)
 
 
-def test_nights_are_held_and_one_may_be_a_date_of_toml(tmp_path):
+def test_home_sets_retention(tmp_path):
     assert retention(tmp_path) == Retention(30, ())
     (tmp_path / "retention.toml").write_text('keep_days = 400\nhold = ["2024-03-01", "2024-05-01"]')
     assert retention(tmp_path) == Retention(400, ("2024-03-01", "2024-05-01"))
@@ -87,7 +87,7 @@ def test_nights_are_held_and_one_may_be_a_date_of_toml(tmp_path):
 
 
 @pytest.mark.parametrize("text", [DEEP, "x = \ud800", "=", "x = 1", f"x = {'9' * 5_000}"])
-def test_what_is_no_toml_is_one_line_of_whoever_reads_it(tmp_path, text):
+def test_bad_toml_is_refused(tmp_path, text):
     for name in ("retention.toml", "notify.toml", "costs.toml"):
         (tmp_path / name).write_bytes(text.encode("utf-8", "surrogatepass"))
     for read, error in ((retention, StoreError), (receivers_of, NotifyError), (read_costs, CostError)):
@@ -99,7 +99,7 @@ def test_what_is_no_toml_is_one_line_of_whoever_reads_it(tmp_path, text):
     ("retention.toml", "keep_days = 99999999999"),
     ("estimators.toml", "HX = 'magic'"), ("notify.toml", "receiver = 1"), ("terms.txt", "none"),
 ])  # fmt: skip
-def test_a_night_says_so_before_it_does_anything(sample_landing, tmp_path, monkeypatch, capsys, name, text):
+def test_wrong_setting_stops_the_night(sample_landing, tmp_path, monkeypatch, capsys, name, text):
     (tmp_path / name).write_text(text)
     monkeypatch.setattr("sys.argv", ["hdt", "nightly", "--landing", str(sample_landing), "--home", str(tmp_path)])
     with pytest.raises(SystemExit) as ended:
@@ -110,7 +110,7 @@ def test_a_night_says_so_before_it_does_anything(sample_landing, tmp_path, monke
     assert not (tmp_path / "tables").exists()
 
 
-def test_nobody_but_owner_and_group_reads_a_home_and_days_of_a_command_are_days(sample_home):
+def test_home_is_closed_to_others(sample_home):
     answer = CliRunner().invoke(app, ["tidy", "--home", str(sample_home), "--keep-days", "99999999999"])
     assert answer.exit_code == 2
     modes = {f: stat.S_IMODE(f.stat().st_mode) for f in (sample_home, *sample_home.rglob("*"))}
@@ -122,14 +122,14 @@ def test_nobody_but_owner_and_group_reads_a_home_and_days_of_a_command_are_days(
     assert {modes[f] & 0o040 for f in (sample_home / "catalog.duckdb", *sample_home.rglob("*.parquet"))} == {0o040}
 
 
-def test_a_private_file_is_closed_though_it_was_open(tmp_path):
+def test_open_file_becomes_private(tmp_path):
     (tmp_path / "cases.sqlite").touch(0o666)
     for name in ("cases.sqlite", "new"):
         assert stat.S_IMODE(make_private(tmp_path / name).stat().st_mode) == 0o600
 
 
 @pytest.mark.parametrize(("before", "after"), [(0o000, 0o027), (0o022, 0o027), (0o077, 0o077)])
-def test_a_narrower_mask_stays(before, after):
+def test_narrower_mask_stays(before, after):
     mask = os.umask(before)
     try:
         assert narrow_umask() == before
@@ -138,7 +138,7 @@ def test_a_narrower_mask_stays(before, after):
         os.umask(mask)
 
 
-def test_a_home_sets_alert_limits_and_the_rest_stays(tmp_path):
+def test_home_sets_alert_limits(tmp_path):
     assert alert_limits(tmp_path) == Limits()
     assert changed_limits(tmp_path) == ()
     (tmp_path / "alerts.toml").write_text("fouling = 0.12\nwear_persistence = [2, 3, 15]\nclog = 0.1\n")
@@ -153,7 +153,7 @@ def test_home_names_methods_of_components(tmp_path):
     assert chosen_methods(tmp_path) == {"HX": Methods("ekf", "ekf"), "CC": Methods("nls", "ukf")}
 
 
-def test_component_takes_the_method_of_its_use(tmp_path):
+def test_component_takes_method_by_use(tmp_path):
     (tmp_path / "estimators.toml").write_text('CC = { design = "pso", health = "ukf" }\n')
 
     assert [by_home(CC, tmp_path, use).estimator for use in ("design", "health")] == ["pso", "ukf"]
@@ -191,7 +191,7 @@ def test_declared_method_changes_nothing(tmp_path, text):
     assert [name for name, read in HOME_SETTINGS.items() if read(tmp_path)] == []
 
 
-def test_accepted_terms_are_a_file_of_the_home_that_makes_the_model_stale(tmp_path):
+def test_accepted_terms_renew_the_model(tmp_path):
     before = baseline_inputs(Ledger(tmp_path))
     accept_terms(tmp_path, ["water_spray", "flow_leak", "water_spray"])
     assert accepted_terms(tmp_path) == ("flow_leak", "water_spray")
@@ -205,7 +205,7 @@ def test_accepted_terms_are_a_file_of_the_home_that_makes_the_model_stale(tmp_pa
     assert accepted_terms(tmp_path) == ("inlet_gain",)
 
 
-def test_the_command_accepts_and_drops(tmp_path):
+def test_command_changes_accepted_terms(tmp_path):
     (tmp_path / "catalog.duckdb").touch()  # a home that has seen a night
     run = CliRunner()
     assert run.invoke(app, ["terms", "--home", str(tmp_path), "--accept", "water_spray"]).exit_code == 0
@@ -249,7 +249,7 @@ READERS = {
 
 
 @pytest.mark.parametrize("make", ENDLESS.values(), ids=ENDLESS)
-def test_endless_costs_do_not_hold_up_the_scan(tmp_path, make):
+def test_endless_costs_block_no_scan(tmp_path, make):
     landing, home = tmp_path / "landing", tmp_path / "home"
     landing.mkdir()
     home.mkdir()
@@ -297,7 +297,7 @@ def test_wrong_settings_of_dagster_are_named(tmp_path, text):
     assert str(fault.value).isprintable()
 
 
-def test_settings_of_dagster_are_read_before_night(sample_landing, tmp_path):
+def test_dagster_settings_are_read_first(sample_landing, tmp_path):
     (tmp_path / "dagster").mkdir()
     os.mkfifo(tmp_path / "dagster/dagster.yaml")
 

@@ -33,52 +33,52 @@ def rows(home, sql):
         return con.execute(sql).fetchall()
 
 
-def test_a_wash_empties_the_packs_row(home):
+def test_wash_empties_the_row(home):
     close(home, action="cleaned")
     assert rows(home, RANKED) == [("none", "CLEANED", None)]
 
 
-def test_a_wash_ends_every_alert_of_its_part(home):
+def test_wash_ends_its_alerts(home):
     close(home, action="cleaned")
     assert rows(home, "select alert_id from alerts where tail = 'T-1' and closed_at is null") == []
 
 
-def test_a_wash_ends_its_work_orders(home):
+def test_wash_ends_its_work_orders(home):
     close(home, action="cleaned")
     with connect(home) as con:
         assert work_orders(con, read_tasks(home))["alert_id"].to_list() == ["other"]
 
 
-def test_found_clean_ends_the_alert(home):
+def test_clean_finding_ends_the_alert(home):
     close(home, finding="clean")
     assert rows(home, CLOSED) == [("found_clean", "no_fault_found")]
 
 
-def test_a_fault_that_stays_keeps_the_alert_open(home):
+def test_remaining_fault_keeps_alert_open(home):
     close(home, action="inspected")
     assert find_case(home, "wear")["state"] == "confirmed"
 
 
-def test_a_closing_taken_back_counts_no_more(home):
+def test_reopened_case_counts_no_more(home):
     before = rows(home, RANKED)
     close(home, action="cleaned")
     change_case(home, find_case(home, "wear"), "reopen", "Ada", note="wrong pack")
     assert rows(home, RANKED) == before
 
 
-def test_a_running_night_keeps_nobody_waiting(home):
+def test_running_night_blocks_no_change(home):
     with lock_home(home):
         close(home, action="cleaned")
     assert rows(home, RANKED)[0][1] == "CLEANED"
 
 
-def test_a_line_without_its_publication_is_read_too(home):
+def test_unpublished_line_is_read(home):
     case = find_case(home, "wear")
     CaseLog(home).append(case, "acknowledge", "Ada")
     assert find_case(home, "wear")["acknowledged_by"] == "Ada"
 
 
-def test_a_night_publishes_later_lines(home):
+def test_night_publishes_later_lines(home):
     case = find_case(home, "wear")
     CaseLog(home).append(case, "acknowledge", "Ada")
     publish(home)
@@ -86,7 +86,7 @@ def test_a_night_publishes_later_lines(home):
 
 
 @pytest.mark.parametrize("is_renamed", [True, False])
-def test_a_kill_at_the_rename_keeps_no_line_back(home, monkeypatch, is_renamed):
+def test_killed_rename_loses_no_line(home, monkeypatch, is_renamed):
     def write_until_killed(folder, hashes):
         if is_renamed and len(hashes) == 1:
             raise KeyboardInterrupt
@@ -102,7 +102,7 @@ def test_a_kill_at_the_rename_keeps_no_line_back(home, monkeypatch, is_renamed):
     assert rows(home, RANKED)[0][1] == "CLEANED"
 
 
-def test_the_next_night_comes_to_the_same(own_home):
+def test_next_night_agrees(own_home):
     landing, home = own_home
     washed, clean, *_ = list_cases(home, "c.component = 'HX' and c.closed_at is null")
     change_case(home, washed, "close", "Ada", finding="fouled", action="cleaned")

@@ -68,7 +68,7 @@ def asked_to_stop(process: subprocess.Popen, number: signal.Signals, group: bool
         (signal.SIGTERM, 2, False, "raw_flights"), (signal.SIGINT, 2, True, "raw_flights"),
     ],
 )  # fmt: skip
-def test_a_night_ends_at_once(sample_landing, tmp_path, number, jobs, group, after):
+def test_night_ends_at_once(sample_landing, tmp_path, number, jobs, group, after):
     home = tmp_path / "home"
     night = begun("nightly", "--landing", str(sample_landing), "--home", str(home), "--jobs", str(jobs))
     stored(night, home, after)
@@ -87,7 +87,7 @@ def test_a_night_ends_at_once(sample_landing, tmp_path, number, jobs, group, aft
 
 
 @pytest.mark.parametrize("number", CODES)
-def test_a_question_ends_at_once(sample_home, tmp_path, number):
+def test_query_ends_at_once(sample_home, tmp_path, number):
     endless = "select count(*) from range(1000000) a, range(1000000) b where sin(a.range) > b.range + 2"
     process = begun("query", "--home", str(sample_home), endless, env=os.environ | {"TMPDIR": str(tmp_path)})
     while not list(tmp_path.glob("hdt-*")):  # its catalog is open
@@ -117,7 +117,7 @@ def interrupted(monkeypatch):
     monkeypatch.setattr(twin, "describe", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
 
 
-def test_no_step_follows_a_run_that_was_stopped(stale_home, interrupted):
+def test_no_step_follows_stopped_run(stale_home, interrupted):
     """Dagster catches the signal, calls the run a failure and would go on with the next."""
     landing, home = stale_home
     with pytest.raises(DagsterExecutionInterruptedError):
@@ -125,7 +125,7 @@ def test_no_step_follows_a_run_that_was_stopped(stale_home, interrupted):
     assert not (home / "catalog.duckdb").exists()
 
 
-def test_a_night_that_is_a_run_itself_is_stopped_with_it(stale_home, interrupted):
+def test_night_stops_with_its_run(stale_home, interrupted):
     landing, home = stale_home
     with open_instance(home) as instance:
         job = build_defs(landing=landing, home=home).resolve_job_def("nightly")
@@ -146,7 +146,7 @@ def _write_and_be_stopped(path: Path, number: signal.Signals) -> None:
 
 
 @pytest.mark.parametrize("number", CODES)
-def test_a_command_that_writes_a_file_tidies_up(number):
+def test_stopped_writer_tidies_up(number):
     with TemporaryDirectory() as folder, pytest.raises(StoppedError) as stopped, stop_in_order():
         _write_and_be_stopped(Path(folder, "report.html"), number)
     assert stopped.value.code == CODES[number]
@@ -158,7 +158,7 @@ def _wait_for_a_stop(connection) -> None:
     time.sleep(60)
 
 
-def test_workers_leave_the_signals_to_who_started_them():
+def test_workers_ignore_stop_signals():
     here, there = multiprocessing.Pipe()
     with block_stop_signals():
         worker = multiprocessing.get_context("spawn").Process(target=_wait_for_a_stop, args=(there,), daemon=True)

@@ -43,7 +43,7 @@ def stored_rows(store: Store) -> list[tuple[str, int]]:
     return sorted(store.read_table("raw_flights").select("flight_id", "n_snapshots").rows())
 
 
-def test_merge_of_no_rows_removes_what_was_there_and_makes_no_shard(store):
+def test_empty_merge_makes_no_shard(store):
     store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights_of())
     assert not store.tables.shards("raw_flights")
     merge(store, [MAY])
@@ -51,7 +51,7 @@ def test_merge_of_no_rows_removes_what_was_there_and_makes_no_shard(store):
     assert store.read_table("raw_flights").is_empty()
 
 
-def test_one_aircraft_is_read_without_the_others(store):
+def test_aircraft_is_read_alone(store):
     other = ("BZR", "LX-AAA")
     for operator, n in (("AQX", 1), ("BZR", 2)):
         own = flights_of(MAY, n=n).with_columns(operator=pl.lit(operator))
@@ -61,7 +61,7 @@ def test_one_aircraft_is_read_without_the_others(store):
     assert store.read_table("raw_flights", [("CCC", "LX-AAA")]).is_empty()
 
 
-def test_a_reader_keeps_what_it_began_to_read_and_the_next_sees_the_new(s3_url, tmp_path):
+def test_reader_keeps_its_version(s3_url, tmp_path):
     """Between a reader's first look and its last byte the shard is replaced, by objects of fresh names."""
     store = Store(tmp_path, s3_url)
     merge(store, [MAY], n=1)
@@ -71,7 +71,7 @@ def test_a_reader_keeps_what_it_began_to_read_and_the_next_sees_the_new(s3_url, 
     assert [f.collect()["n_snapshots"].to_list() for f in (first, second)] == [[1], [2]]
 
 
-def test_two_writers_of_one_month_lose_nothing(store):
+def test_two_writers_lose_nothing(store):
     """Runs of an aircraft's flights go side by side, and one may end and the next begin in the same month."""
     days = [[f"LX-AAA_202405{day:02}_{leg:02}" for day in range(1, 11)] for leg in (1, 2)]
 
@@ -87,7 +87,7 @@ def test_two_writers_of_one_month_lose_nothing(store):
     assert [flight for flight, _ in stored_rows(store)] == sorted(days[0] + days[1])
 
 
-def test_a_table_that_is_not_there_yet_reads_as_empty_and_the_fleets_has_one_shard(store):
+def test_missing_table_reads_as_empty(store):
     frame = store.read_table("prognoses")
     assert frame.is_empty()
     assert frame.columns == list(TABLES["prognoses"].schema.columns())
@@ -102,7 +102,7 @@ def test_a_table_that_is_not_there_yet_reads_as_empty_and_the_fleets_has_one_sha
     assert len(store.tables.shards("prognosis_model")) == 1
 
 
-def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
+def test_variable_places_the_tables(tmp_path, monkeypatch):
     monkeypatch.setenv("HDT_STORE_URL", str(tmp_path / "elsewhere"))
     merge(Store(tmp_path / "home"), [MAY])
     assert len(list((tmp_path / "elsewhere/raw_flights/AQX/LX-AAA").glob("2024-05.*.parquet"))) == 1
@@ -114,7 +114,7 @@ def test_the_variable_says_where_the_tables_lie(tmp_path, monkeypatch):
     assert Store(tmp_path / "home").place.url == str(tmp_path / "home/tables")
 
 
-def test_the_same_rows_make_no_commit_and_many_aircraft_one(store):
+def test_same_rows_make_no_commit(store):
     ids = [MAY, MAY_TOO]
     merge(store, ids)
     first, version = store.tables.shards("raw_flights"), store.tables.open("raw_flights").version()
@@ -130,7 +130,7 @@ def test_the_same_rows_make_no_commit_and_many_aircraft_one(store):
     assert store.read_table("raw_flights")["n_snapshots"].to_list() == [9, 1, 9]  # MAY_TOO as it was
 
 
-def test_rows_of_what_was_not_asked_for_are_refused(store):
+def test_stray_rows_are_refused(store):
     merge(store, [MAY], n=1)
     other = flights_of(MAY).with_columns(operator=pl.lit("BZR"))
     for frame, which in ((flights_of(MAY, MAY_TOO), MAY_TOO), (other, "BZR LX-AAA")):
@@ -141,7 +141,7 @@ def test_rows_of_what_was_not_asked_for_are_refused(store):
     assert stored_rows(store) == [(MAY, 1)]
 
 
-def test_a_key_that_would_stand_twice_is_refused_also_beside_rows_that_are_there(store):
+def test_repeated_key_is_refused(store):
     doubled = pl.concat([flights_of(MAY), flights_of(MAY, n=2)])
     with pytest.raises(StoreError, match=f"AQX/LX-AAA/2024-05 would hold 1 keys more than once, such as .*{MAY}"):
         store.merge("raw_flights", {AIRCRAFT: [MAY]}, doubled)
@@ -154,7 +154,7 @@ def test_a_key_that_would_stand_twice_is_refused_also_beside_rows_that_are_there
 
 
 @pytest.mark.parametrize("table", TABLES)
-def test_every_table_opens_with_polars_pyarrow_and_duckdb_as_it_is_declared(sample_home, table):
+def test_other_libraries_open_the_table(sample_home, table):
     rows, path = Store(sample_home).read_table(table).height, str(sample_home / "tables" / table)
     delta = DeltaTable(path)
     assert pl.read_delta(path).height == pl.scan_delta(path).collect().height == rows
@@ -166,7 +166,7 @@ def test_every_table_opens_with_polars_pyarrow_and_duckdb_as_it_is_declared(samp
     assert read_back.schema == empty.schema
 
 
-def test_a_table_is_opened_once_whoever_asks_and_again_after_anothers_commit(tmp_path, monkeypatch):
+def test_table_is_opened_once(tmp_path, monkeypatch):
     """A log of years takes a while to read; another process may have written meanwhile."""
     opened, open_ = [], Deltas.open
     Store(tmp_path).declare("raw_flights")
@@ -184,7 +184,7 @@ def test_a_table_is_opened_once_whoever_asks_and_again_after_anothers_commit(tmp
     assert len(opened) == 1
 
 
-def test_a_new_column_widens_the_table(tmp_path):
+def test_new_column_widens_the_table(tmp_path):
     """Other programs read the table by the log's schema: what is not there is null."""
     tables = Store(tmp_path).tables
     tables.change("t", lambda _: [("a", pl.DataFrame({"x": [1]}))])
@@ -193,7 +193,7 @@ def test_a_new_column_widens_the_table(tmp_path):
     assert read.rows() == [(1, None), (2, "new")]
 
 
-def test_a_writer_that_dies_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_dead_writer_leaves_old_file(tmp_path):
     target = tmp_path / "a.parquet"
     target.write_text("old")
 
@@ -208,7 +208,7 @@ def test_a_writer_that_dies_leaves_the_old_file_and_nothing_else(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.parquet"]
 
 
-def test_leftovers_of_a_killed_writer_are_swept_and_never_read(tmp_path):
+def test_leftovers_are_swept(tmp_path):
     store = Store(tmp_path)
     merge(store, [MAY])
     left = tmp_path / "tables/raw_flights/AQX/LX-AAA/.2024-05.0.parquet.99.part"
@@ -226,7 +226,7 @@ def names(store: Store) -> list[str]:
     return sorted(shard.rpartition("/")[2] for shard in store.tables.shards("raw_flights"))
 
 
-def test_years_take_in_all_months_but_the_newest_whose_flights_read_no_other_file(tmp_path):
+def test_years_fold_older_months(tmp_path):
     merge(store := Store(tmp_path), FLIGHTS)
     assert names(store) == ["2022", "2023", "2024", "2024-10", "2024-11", "2024-12"]
     assert stored_rows(store) == [(flight, 1) for flight in FLIGHTS]
@@ -234,11 +234,11 @@ def test_years_take_in_all_months_but_the_newest_whose_flights_read_no_other_fil
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_every_flight_is_held_once_and_as_it_came_last_in_whatever_order(tmp_path, seed):
+def test_any_order_keeps_flights_once(tmp_path, seed):
     check_any_order(Store(tmp_path), seed, nights=40)
 
 
-def test_and_so_it_is_over_objects(tmp_path, s3_url):
+def test_objects_keep_flights_once(tmp_path, s3_url):
     check_any_order(Store(tmp_path, s3_url), seed=8, nights=15)
 
 
@@ -258,7 +258,7 @@ def check_any_order(store: Store, seed: int, nights: int) -> None:
 
 
 @pytest.mark.parametrize("months", [["2024-12"], ["2024-11", "2024-12"], ["2024"], ["2024-10", "2024-11", "2024-12"]])
-def test_months_that_were_lost_come_back_once(tmp_path, months):
+def test_lost_months_return_once(tmp_path, months):
     """With the newest months gone, others are the newest: they stay in the year that has taken them in."""
     merge(store := Store(tmp_path), FLIGHTS)
     files = store.tables.shards("raw_flights")
@@ -271,7 +271,7 @@ def test_months_that_were_lost_come_back_once(tmp_path, months):
     assert {n for flight, n in stored_rows(store) if flight in late} == {3}
 
 
-def test_a_year_that_was_lost_makes_its_flights_stale_and_no_others(tmp_path):
+def test_lost_year_makes_flights_stale(tmp_path):
     store, ledger = Store(tmp_path / "home"), Ledger(tmp_path / "home")
     merge(store, FLIGHTS)
     done = [{"operator": "AQX", "tail": "LX-AAA", "flight_id": f, "version": "1"} for f in FLIGHTS]
@@ -284,7 +284,7 @@ def test_a_year_that_was_lost_makes_its_flights_stale_and_no_others(tmp_path):
     assert [flight for flight, _ in stored_rows(store)] == [f for f in FLIGHTS if "_2023" not in f]
 
 
-def test_a_log_made_anew_from_all_files_counts_no_folded_month_twice(tmp_path):
+def test_rebuilt_log_counts_months_once(tmp_path):
     store, ledger = Store(tmp_path / "home"), Ledger(tmp_path / "home")
     for month in range(0, len(FLIGHTS), 2):
         merge(store, FLIGHTS[month : month + 2])

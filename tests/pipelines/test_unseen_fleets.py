@@ -132,7 +132,7 @@ def folders(sample_home, tmp_path) -> tuple[Path, Path]:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda f: f.__name__)
-def test_every_night_is_sound_and_ends_where_one_night_would(scenario, folders, sample_home, tmp_path):
+def test_unlike_fleet_ends_sound(scenario, folders, sample_home, tmp_path):
     (landing, home), nights = folders, 0
     for _ in scenario(landing):
         night, nights = run(landing, home), nights + 1
@@ -145,7 +145,7 @@ def test_every_night_is_sound_and_ends_where_one_night_would(scenario, folders, 
         assert fingerprint(home) == fingerprint(clean)
 
 
-def test_a_file_that_comes_again_broken_takes_nothing_away(folders):
+def test_broken_redelivery_removes_nothing(folders):
     landing, home = folders
     zone = simulated(15, 3, operator="QQX", tail="Z9")
     drop_fleet(landing, [zone])
@@ -174,7 +174,7 @@ def test_a_file_that_comes_again_broken_takes_nothing_away(folders):
     assert Store(home).read_table("raw_checks").height == 0
 
 
-def test_the_report_of_a_home_without_a_flight_is_a_page(folders, tmp_path):
+def test_report_needs_no_flight(folders, tmp_path):
     landing, home = folders
     run(landing, home)
     write_report(home, tmp_path / "report.html")
@@ -185,7 +185,7 @@ def check(home):
     return next(c for c in examine(None, home) if c.name == "units and wiring")
 
 
-def test_what_is_written_otherwise_than_agreed_is_told(folders, sample_home):
+def test_disagreeing_files_are_named(folders, sample_home):
     landing, home = folders
     zones = [simulated(31 + k, 3, operator=o, tail=t) for k, (o, t) in enumerate([("QQX", "Z9"), ("QQY", "Z9")])]
     swapped, fahrenheit, _ = zones[0].flights
@@ -243,7 +243,7 @@ def stored(home) -> set[str]:
 
 
 @pytest.mark.parametrize("error", [RuntimeError, PanicException])
-def test_a_flight_that_makes_a_stage_fail_is_found_and_named(error, zone, seven, monkeypatch):
+def test_failing_flight_is_named(error, zone, seven, monkeypatch):
     landing, home = seven
     sick = zone.flights[4]
     real = twin_assets.estimate_flights
@@ -264,7 +264,7 @@ def test_a_flight_that_makes_a_stage_fail_is_found_and_named(error, zone, seven,
     assert again.cells < 3 * FLIGHTS  # its own, and what follows from it
 
 
-def test_a_row_that_breaks_its_declaration_is_set_aside_and_the_others_are_stored(zone, seven, monkeypatch):
+def test_infinite_result_is_set_aside(zone, seven, monkeypatch):
     landing, home = seven
     sick = zone.flights[2]
     real = twin_assets.estimate_flights

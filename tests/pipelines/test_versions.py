@@ -48,7 +48,7 @@ def flights(frame: pl.DataFrame) -> set[str]:
     return set(frame["flight_id"])
 
 
-def test_nothing_is_stale_after_it_was_made_but_the_flight_of_a_second_file(ledger):
+def test_made_cells_are_not_stale(ledger):
     for table in ("raw_flights", "legs_samples", "calibration_dsm", "twin_flights"):
         assert stale_cells_of(ledger, [table]).is_empty(), table
     deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b1")
@@ -57,7 +57,7 @@ def test_nothing_is_stale_after_it_was_made_but_the_flight_of_a_second_file(ledg
     assert flights(stale_cells_of(ledger, ["raw_flights"])) == {"LX-AAA_20240502_01"}
 
 
-def test_a_corrected_history_file_makes_its_flights_stale_and_no_others(ledger):
+def test_corrected_file_makes_flights_stale(ledger):
     deliver(ledger, A, "history_2024-05.parquet", ["LX-AAA_20240501_01", "LX-AAA_20240502_01"], "h2", "history")
     assert flights(stale_cells_of(ledger, ["raw_flights"])) == {"LX-AAA_20240501_01", "LX-AAA_20240502_01"}
     assert stale_cells_of(ledger, ["legs_samples"]).is_empty(), "what follows is stale once its parent was made anew"
@@ -65,13 +65,13 @@ def test_a_corrected_history_file_makes_its_flights_stale_and_no_others(ledger):
     assert flights(stale_cells_of(ledger, ["legs_samples"])) == {"LX-AAA_20240501_01", "LX-AAA_20240502_01"}
 
 
-def test_new_code_makes_a_stage_stale_and_what_follows_once_it_was_run(ledger, monkeypatch):
+def test_new_code_makes_stage_stale(ledger, monkeypatch):
     monkeypatch.setitem(LINEAGE, "legs_samples", Recipe(("raw_flights",), code="another"))
     assert stale_cells_of(ledger, ["legs_samples"]).height == 3
     assert stale_cells_of(ledger, ["raw_flights"]).is_empty()
 
 
-def test_a_track_is_stale_for_the_aircraft_of_a_changed_flight_only(ledger):
+def test_early_flight_makes_tracks_stale(ledger):
     make(ledger, "twin_health")
     deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b2")
     make(ledger, "raw_flights", "legs_samples", "calibration_dsm", "twin_flights")
@@ -80,7 +80,7 @@ def test_a_track_is_stale_for_the_aircraft_of_a_changed_flight_only(ledger):
     assert set(stale["tail"]) == {"LX-AAA", "LX-AAB"}
 
 
-def test_a_flight_after_commissioning_leaves_the_model_alone(tmp_path):
+def test_late_flight_spares_the_model(tmp_path):
     ledger = Ledger(tmp_path)
     ids = [f"LX-AAA_2024{m:02d}{d:02d}_{leg:02d}" for m in range(1, 4) for d in range(1, 29) for leg in (1, 2)]
     deliver(ledger, A, "history.parquet", ids[:161], "h", "history")
@@ -91,7 +91,7 @@ def test_a_flight_after_commissioning_leaves_the_model_alone(tmp_path):
     assert flights(stale_cells_of(ledger, ["twin_flights"])) == {ids[165]}
 
 
-def test_a_flight_without_rows_changes_no_model(ledger):
+def test_flight_without_rows_spares_model(ledger):
     before = expected_versions(ledger, "calibration_dsm")
     refused = "LX-AAB_20230105_01"
     deliver(ledger, B, f"{refused}.csv", [refused], "refused")
@@ -101,7 +101,7 @@ def test_a_flight_without_rows_changes_no_model(ledger):
     assert expected_versions(ledger, "calibration_dsm").equals(before)
 
 
-def test_the_baseline_counts_the_records_of_its_own_window_and_no_others(tmp_path):
+def test_baseline_counts_records_within_window(tmp_path):
     ledger, store = Ledger(tmp_path), Store(tmp_path)
     deliver(ledger, A, "x.csv", ["LX-AAA_20240501_01"], "d")
     make(ledger, "raw_flights", "legs_samples")
@@ -116,13 +116,13 @@ def test_the_baseline_counts_the_records_of_its_own_window_and_no_others(tmp_pat
 
 
 @pytest.mark.parametrize("table", LINEAGE)
-def test_every_table_has_a_version_at_its_own_grain(ledger, table):
+def test_every_table_has_a_version(ledger, table):
     frame = expected_versions(ledger, table)
     assert frame.columns == [*CELL, "version"]
     assert frame.select(pl.all().is_not_null().all()).row(0) == (True,) * 4 or frame.is_empty()
 
 
-def test_the_version_does_not_depend_on_the_order_of_delivery(tmp_path):
+def test_delivery_order_changes_no_version(tmp_path):
     one, two = Ledger(tmp_path / "1"), Ledger(tmp_path / "2")
     files = [("x.csv", "d1"), ("y.csv", "d2")]
     for ledger, order in ((one, files), (two, files[::-1])):
@@ -136,7 +136,7 @@ ASSETS = [asset for asset in build_defs(landing=".", home=".").assets if asset.o
 
 
 @pytest.mark.parametrize("table", ["twin_health", "prognoses"])
-def test_the_version_does_not_depend_on_the_order_in_which_a_database_answers(ledger, monkeypatch, table):
+def test_query_order_changes_no_version(ledger, monkeypatch, table):
     """No database promises one; finer versions are folded for an aircraft, or for the fleet."""
     tables = "calibration_schedules", "legs_indicators", "features_margin", "features", "prognosis_base", "raw_messages"
     make(ledger, *tables, "raw_maintenance")
@@ -155,7 +155,7 @@ def test_the_version_does_not_depend_on_the_order_in_which_a_database_answers(le
 
 
 @pytest.mark.parametrize("asset", ASSETS, ids=lambda asset: asset.op.name)
-def test_whatever_an_asset_reads_counts_in_its_version(asset):
+def test_version_covers_what_asset_reads(asset):
     """Dagster's graph holds no arrow from a table whose changes the ledger does not follow, and none is missing."""
     stage = STAGE[asset.op.name]
     for key in asset.keys:
@@ -164,7 +164,7 @@ def test_whatever_an_asset_reads_counts_in_its_version(asset):
         assert {MAKER[t].name for t in stage.parents} <= {MAKER[t].name for t in read}
 
 
-def test_what_a_lineage_follows_is_all_that_is_read_and_no_concern_of_who_follows_a_baseline():
+def test_untracked_reading_is_refused():
     def residuals(raw_fleet: pl.DataFrame) -> pl.DataFrame:
         return raw_fleet
 
@@ -175,7 +175,7 @@ def test_what_a_lineage_follows_is_all_that_is_read_and_no_concern_of_who_follow
     assert "raw_maintenance" in upstream_tables(STAGE["twin_health"])
 
 
-def test_limits_of_the_home_make_alerts_stale_and_nothing_else(ledger):
+def test_limits_make_alerts_stale(ledger):
     deliver(ledger, A, "maintenance.csv", [], "m1", "maintenance")
     parents = "raw_maintenance", "twin_health", "residuals", "calibration_schedules", "features_cross_checks"
     make(ledger, *parents, "features_margin", "features")

@@ -43,7 +43,7 @@ def catalog(language: str):
 
 
 @pytest.mark.parametrize("language", OTHERS)
-def test_every_message_is_translated_with_all_its_values_and_compiled_and_none_is_left_over(language):
+def test_every_message_is_translated(language):
     """`python -m docs.translations` finds them anew."""
     collected, translated = ({m.id for m in c if m.id} for c in (translations.collect_messages(), catalog(language)))
     assert translated == collected
@@ -64,7 +64,7 @@ def filled(phrase: str) -> str:
 
 
 @pytest.mark.parametrize("phrase", PHRASES)
-def test_a_phrase_is_known_again_with_its_values_and_retold_as_it_was_translated(phrase):
+def test_phrase_gives_its_values(phrase):
     match = pattern_of(phrase).fullmatch(filled(phrase))
     assert match is not None
     values = {k: v for k, v in match.groupdict().items() if k != "small"}
@@ -76,7 +76,7 @@ def test_a_phrase_is_known_again_with_its_values_and_retold_as_it_was_translated
     assert re.fullmatch("".join(re.escape(text) + (".+" if name else "") for text, name, _, _ in parts), retold)
 
 
-def test_signals_have_plain_names_and_numbers_the_languages_form():
+def test_signals_have_plain_names():
     assert set(SIGNALS) == set(Signals.columns())
     assert set(CHECKS) == {c.name for c in CHANNELS}
     with use_language("de"):
@@ -91,7 +91,7 @@ def test_signals_have_plain_names_and_numbers_the_languages_form():
 ENGLISH_WORDS = re.compile(r"\b(the|is|of|with|since|than|and|lost|flights|exchanger|probability|check|which)\b")
 
 
-def test_alerts_of_the_sample_are_told_in_german_to_the_last_word(sample_home):
+def test_german_alerts_hold_no_english(sample_home):
     with connect(sample_home) as con:
         rows = con.execute("select evidence, evidence_now, recommended_action from alerts").fetchall()
         tails = [t for (t,) in con.execute("select distinct tail from alerts").fetchall()]
@@ -104,7 +104,7 @@ def test_alerts_of_the_sample_are_told_in_german_to_the_last_word(sample_home):
 
 
 @pytest.mark.parametrize("path", sorted(translations.ROOT.rglob("*.py")), ids=lambda p: p.stem)
-def test_no_call_for_words_in_f_strings(path):
+def test_f_strings_hold_no_message(path):
     """From Python 3.12 on, strings within an f-string are collected as messages too."""
     strings = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.JoinedStr)]
 
