@@ -19,10 +19,13 @@ from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.publication import publish
 from pipelines.storage.store import Store
 
-FIRST, ANEW, LEASED = ("AQX", "LX-AAC"), ("AQX", "LX-ZZC"), ("BZR", "LX-AAC")
+FIRST = ("AQX", "LX-AAC")
+ANEW = ("AQX", "LX-ZZC")
+LEASED = ("BZR", "LX-AAC")
 LINES = "operator,tail,msn,valid_from,valid_to,delivered_on,packs\n"
 COMPARED = ("raw_flights", "legs_verdicts", "twin_health", "features", "features_alerts", "raw_messages")
-N_FLIGHTS, N_FIRST = 30, 18
+N_FLIGHTS = 30
+N_FIRST = 18
 
 
 def names(zone: Zone, operator: str, tail: str) -> Zone:
@@ -191,7 +194,8 @@ def test_odd_line_is_noted(sample_home, tmp_path, lines, reason):
 
 
 def test_wrong_line_corrected_loses_nothing(sample_home, tmp_path, under_one_name):
-    landing, home = tmp_path / "landing", tmp_path / "home"
+    landing = tmp_path / "landing"
+    home = tmp_path / "home"
     keep_base(sample_home, home)
     deliver(landing, ANEW)
     fleet(landing, line(FIRST), line(ANEW))
@@ -207,7 +211,8 @@ def test_wrong_line_corrected_loses_nothing(sample_home, tmp_path, under_one_nam
 
 
 def test_tail_used_again_begins_anew(sample_home, tmp_path):
-    landing, home = tmp_path / "landing", tmp_path / "home"
+    landing = tmp_path / "landing"
+    home = tmp_path / "home"
     keep_base(sample_home, home)
     deliver(landing)
     day = sorted((landing / "AQX/LX-AAC/acms").iterdir())[N_FIRST].stem[-11:-3]

@@ -22,7 +22,8 @@ from pipelines.assets.calibration import CONTROLLERS, LEGS, laws_of
 from pipelines.assets.twin import model_of
 from pipelines.storage.store import Store
 
-NO_WORK, NO_MESSAGES = RawMaintenance.create_empty(), RawMessages.create_empty()
+NO_WORK = RawMaintenance.create_empty()
+NO_MESSAGES = RawMessages.create_empty()
 ODD = st.sampled_from([None, 0.0, -0.0, -1.0, 1.0, 1e-300, -1e-300, 5e-324, 1e300, -1e300, 1.7e308, 1e6, 250.0])
 READING = ODD | st.none() | st.floats(allow_nan=False, allow_infinity=False)
 SPOILED = st.lists(st.tuples(st.sampled_from(SIGNALS), READING, st.sampled_from([1, 2, 3, 17])), min_size=1, max_size=6)
@@ -53,7 +54,8 @@ def recorded(store):
 def chain(raw, dsm, norm, laws) -> dict[str, pl.DataFrame]:
     """Every table that is made of recorded rows."""
     verdicts, samples = judge_legs(raw)
-    signs, checks = leg_indicators(samples, norm), cross_checks(samples, laws)
+    signs = leg_indicators(samples, norm)
+    checks = cross_checks(samples, laws)
     flights = estimate_flights(samples, dsm)
     apart = residuals(samples, flights, dsm)
     health, chapters = track(flights, NO_WORK, dsm)

@@ -22,7 +22,8 @@ from pipelines.storage.publication import connect_as_of, find_catalog_fault, pub
 from pipelines.storage.seal import Retention, find_night, remove_expired
 from pipelines.storage.store import Store
 
-AIRCRAFT, FLIGHT = ("AQX", "LX-AAA"), "LX-AAA_20240501_01"
+AIRCRAFT = ("AQX", "LX-AAA")
+FLIGHT = "LX-AAA_20240501_01"
 NIGHTS = 4
 
 
@@ -82,7 +83,9 @@ def test_odd_time_names_no_night(text):
 
 
 def test_retention_spares_named_nights(home):
-    store, ledger, before = Store(home), Ledger(home), names(home)
+    store = Store(home)
+    ledger = Ledger(home)
+    before = names(home)
     remove_expired(store, ledger, Retention(keep_days=0, hold=(before[1],)))
     assert names(home) == [before[1], before[-1]]  # the last has not been replaced
     assert snapshots_of(connect_as_of(home, before[1])) == 1
@@ -123,7 +126,8 @@ def at(monkeypatch: pytest.MonkeyPatch, years: int) -> None:
 
 @pytest.mark.parametrize("years", [10, -5])
 def test_clock_jump_costs_no_night(home, monkeypatch, years):
-    before, store = names(home), Store(home)
+    before = names(home)
+    store = Store(home)
     at(monkeypatch, years)
     for _ in range(2):
         publish(home)

@@ -7,7 +7,8 @@ from dagster._core.launcher import WorkerStatus
 from dagster_batched import celery
 
 AT_WORK = {"one@a": [{"id": "task-1"}], "two@b": []}
-RUNNING, LOST = WorkerStatus.RUNNING, WorkerStatus.NOT_FOUND
+RUNNING = WorkerStatus.RUNNING
+LOST = WorkerStatus.NOT_FOUND
 BEGUN_ANEW = ((AT_WORK, 100, RUNNING), (AT_WORK, 61, LOST))
 NOBODY = (None, celery.OperationalError("refused"), ConnectionResetError())
 
@@ -46,7 +47,8 @@ def run_of(task: str | None) -> dg.DagsterRun:
 )
 def test_run_without_worker_is_lost(watched_launcher, task, looks):
     """A run that was never sent out is not the workers'."""
-    (launcher, workers), run = watched_launcher, run_of(task)
+    launcher, workers = watched_launcher
+    run = run_of(task)
     for answer, later_s, status in looks:
         workers |= {"answer": answer, "now": workers["now"] + later_s}
         health = launcher.check_run_worker_health(run)

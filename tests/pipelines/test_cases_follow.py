@@ -75,7 +75,8 @@ def say(home: Path, *words: object) -> None:
 @pytest.mark.parametrize("change", [new_rules, another_aircraft, redelivered])
 def test_case_keeps_owner_through_nights(own_home, tmp_path, change: Callable[[Path, Path], None]) -> None:
     landing, home = own_home
-    before, numbers = cases(home), orders(home, tmp_path)
+    before = cases(home)
+    numbers = orders(home, tmp_path)
     for name in before:
         say(home, "assign", name, "--to", "Bo")
         say(home, "mute", name, "--until", SOON, "--note", "exchanger on order")

@@ -91,7 +91,8 @@ def test_replaced_catalog_is_opened_anew(own_home, monkeypatch, meets):
     new = Path(shutil.copyfile(home / CATALOG, home / "new"))
     with duckdb.connect(str(new)) as con:
         con.execute("comment on view flights is 'new'")
-    stock, opened = duckdb.connect, []
+    stock = duckdb.connect
+    opened = []
 
     def connect_slowly(path, **options):
         opened.append(path)
@@ -221,7 +222,8 @@ def view_texts(home: Path) -> list[str]:
 
 @pytest.mark.parametrize("spoiled", [None, "catalog", "hash"])
 def test_continued_catalog_equals_new_one(home, spoiled):
-    store, aircraft = Store(home), ("BZR", "A9-BAC")
+    store = Store(home)
+    aircraft = ("BZR", "A9-BAC")
     alerts = store.read_table("features_alerts", [aircraft])
     store.replace("features_alerts", [aircraft], alerts.head(-1))
     if spoiled == "catalog":

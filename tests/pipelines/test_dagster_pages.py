@@ -93,10 +93,12 @@ def test_backfill_of_unflown_flight_succeeds(own_home, monkeypatch):
     for name, folder in (("HDT_LANDING", landing), ("HDT_HOME", home)):
         monkeypatch.setenv(name, str(folder))
     defs = build_defs(landing=landing, home=home)
-    graph, keys = defs.resolve_asset_graph(), [dg.AssetKey(t) for t in ("twin_flights", "residuals")]
+    graph = defs.resolve_asset_graph()
+    keys = [dg.AssetKey(t) for t in ("twin_flights", "residuals")]
     with open_instance(home) as instance:
         cells = [instance.get_materialized_partitions(key) for key in keys]
-        flown, aircraft = sorted(cells[1])[:2], min(cells[1]).split("|")[0]
+        flown = sorted(cells[1])[:2]
+        aircraft = min(cells[1]).split("|")[0]
         never = next(c for f in instance.get_dynamic_partitions("flight") if (c := f"{aircraft}|{f}") not in cells[0])
         before = Store(home).snapshot()
         backfill = PartitionBackfill.from_asset_partitions(
@@ -142,7 +144,8 @@ def test_night_leaves_dagster_nothing(sample_landing, own_home):
     """The parent's own cell and no other; and where a table is newer than the views over it all are published again."""
     _, home = own_home
     defs = build_defs(landing=sample_landing, home=home)
-    report, residuals = dg.AssetKey("report"), dg.AssetKey("residuals")
+    report = dg.AssetKey("report")
+    residuals = dg.AssetKey("residuals")
     with open_instance(home) as instance:
         night = dg.evaluate_automation_conditions(defs, instance)
         assert night.total_requested == 0
@@ -221,7 +224,8 @@ def test_dev_answers_with_home(clone):
     before = new_files(clone)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    address, question = f"http://127.0.0.1:{port}/graphql", json.dumps({"query": QUESTION}).encode()
+    address = f"http://127.0.0.1:{port}/graphql"
+    question = json.dumps({"query": QUESTION}).encode()
     request = urllib.request.Request(address, question, {"Content-Type": "application/json"})
 
     nodes = None

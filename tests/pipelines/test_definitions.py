@@ -59,7 +59,8 @@ def test_every_table_has_an_asset(specs):
 
 @pytest.mark.parametrize("view", views())
 def test_view_depends_on_its_sources(specs, view):
-    spec, header = specs[f"catalog/{view}"], read_header(views()[view])
+    spec = specs[f"catalog/{view}"]
+    header = read_header(views()[view])
     read = {name.removeprefix("tables.") if "." in name else f"catalog/{name}" for name in header.sources}
     assert {"/".join(d.asset_key.path) for d in spec.deps} == read
     assert spec.description.startswith(header.question)
@@ -130,7 +131,8 @@ def test_sensor_waits_for_quiet(sample_landing, tmp_path, monkeypatch):
     (fresh,) = look()
     assert "waiting" in fresh.skip_message
     monkeypatch.setattr(definitions, "QUIET_S", -1)
-    first, second = look(), look()
+    first = look()
+    second = look()
     assert first[0].run_key == second[0].run_key
 
 

@@ -13,7 +13,8 @@ LINE = 'HX = "ekf"\nCC = { design = "pinn", health = "ukf" }\n'
 def homes(tmp_path_factory):
     """Landing zone and home of an aircraft whose second night has methods of its own, and what the nights ran."""
     top = tmp_path_factory.mktemp("estimators")
-    landing, home = top / "landing", top / "home"
+    landing = top / "landing"
+    home = top / "home"
     landing.mkdir()
     home.mkdir()
     zone = simulated(21, 25, operator="QQX", tail="Z9")
@@ -23,7 +24,8 @@ def homes(tmp_path_factory):
     run(landing, home)
     before = made_by(home, "health_parameters")
     (home / "estimators.toml").write_text(LINE)
-    second, third = run(landing, home), run(landing, home)
+    second = run(landing, home)
+    third = run(landing, home)
     return home, before, second, third
 
 

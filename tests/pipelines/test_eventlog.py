@@ -74,7 +74,9 @@ class Log:
     def __init__(self, base: Path, kept_in: str, url: str) -> None:
         base.mkdir()
         settings, tables = KEPT_IN[kept_in]
-        self.base, self.kept_in, self.settings = base, kept_in, settings.format(base=base, url=url)
+        self.base = base
+        self.kept_in = kept_in
+        self.settings = settings.format(base=base, url=url)
         self.tables = sqlalchemy.create_engine(tables.format(base=base, url=url), poolclass=sqlalchemy.NullPool)
 
     def instance(self, who: dict[str, tuple[str, str]]) -> dg.DagsterInstance:
@@ -114,7 +116,8 @@ def ran(log: Log, who, monkeypatch, batch: str):
     monkeypatch.setenv("DAGSTER_EMIT_PARTITION_SUBSET_IN_PLANNED_EVENTS", "1")
     instance = log.instance(who)
     add_cells(instance, "123")
-    keeper, tags = {"one": OneStandsForAll()}, range_tags("A|1", "B|3")
+    keeper = {"one": OneStandsForAll()}
+    tags = range_tags("A|1", "B|3")
     assert dg.materialize([first, second, third], resources=keeper, instance=instance, tags=tags).success
     records = instance.fetch_materializations(dg.AssetKey("second"), limit=100).records
     instance.dispose()
@@ -180,7 +183,8 @@ def test_valid_keys_equal_stocks():
     with dg.DagsterInstance.ephemeral() as instance, partition_loading_context(dynamic_partitions_store=instance):
         add_cells(instance)
         for some in (candidates, {"C|1"}, {"A"}, set()):
-            ours, stock = valid_keys(both, some), stock_keys(both, some)
+            ours = valid_keys(both, some)
+            stock = stock_keys(both, some)
             parts = {key: both.get_partition_key_from_str(key).keys_by_dimension for key in stock}  # 1.12 finds texts
             assert {key: key.keys_by_dimension for key in ours} == parts
             assert {type(key) for key in ours} <= {dg.MultiPartitionKey}
@@ -201,7 +205,8 @@ def broken() -> None:
 def test_failed_cells_show_like_stocks(new_log, monkeypatch):
     """Stock plans cell by cell; ours only where the run failed, and then what was not made."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
-    cells, attempts = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"], []
+    cells = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"]
+    attempts = []
     tags = range_tags("A|1", "B|2")
     for who in (STOCK, OURS):
         with new_log(f"log{len(attempts)}").instance(who) as instance:
@@ -290,7 +295,8 @@ def test_every_shard_equals_stocks(tmp_path, monkeypatch):
             queries = ("select name, sql from sqlite_master order by 1", "select * from alembic_version")
             return *(con.execute(sql).fetchall() for sql in queries), con.execute("pragma journal_mode").fetchone()
 
-    ours, stock = shards("ours", OURS), shards("stock", STOCK)
+    ours = shards("ours", OURS)
+    stock = shards("stock", STOCK)
     assert ours == stock
     assert len(set(map(str, ours))) == 1
 

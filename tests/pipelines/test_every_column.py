@@ -65,7 +65,8 @@ def zone():
     work |= {
         "finding": "NO_FAULT_FOUND", "reference": "WO <i>7</i>", "serial_off": "S/N 1 & 2", "serial_on": "<s>3</s>",
     }  # fmt: skip
-    zone.messages, zone.maintenance = pl.DataFrame([message]), pl.DataFrame([work])
+    zone.messages = pl.DataFrame([message])
+    zone.maintenance = pl.DataFrame([work])
     fleet = {"operator": "QQX", "tail": "Z9", "msn": "<u>41</u>", "delivered_on": date(2014, 6, 1), "packs": 2}
     zone.fleet = pl.DataFrame([fleet | {"type": "B787-767"}])
     return zone
@@ -74,7 +75,8 @@ def zone():
 @pytest.fixture(scope="module")
 def home(zone, sample_home, tmp_path_factory):
     root = tmp_path_factory.mktemp("every_column")
-    landing, home = root / "landing", root / "home"
+    landing = root / "landing"
+    home = root / "home"
     one, two = zone.flights
     zone.only([one]).drop_csv(landing)
     zone.only([two]).drop_history(landing)

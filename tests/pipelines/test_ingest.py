@@ -19,7 +19,8 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 
 GOOD = Path(__file__).parents[1] / "data/dirty/landing/AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
-AIRCRAFT, FLIGHT = ("AQX", "LX-AAA"), "LX-AAA_20240525_04"
+AIRCRAFT = ("AQX", "LX-AAA")
+FLIGHT = "LX-AAA_20240525_04"
 CSV, COPY = (f"AQX/LX-AAA/acms/{name}.csv" for name in (FLIGHT, "copy"))
 TAKEN_IN = ("raw_snapshots", "raw_deliveries", "raw_quarantine")
 N = 42  # rows of the good flight
@@ -29,7 +30,9 @@ class Zone:
     """A landing zone and what was stored of its one flight."""
 
     def __init__(self, root: Path) -> None:
-        self.landing, self.store, self.ledger = root / "landing", Store(root / "home"), Ledger(root / "home")
+        self.landing = root / "landing"
+        self.store = Store(root / "home")
+        self.ledger = Ledger(root / "home")
 
     def deliver(self, path: str, spoil: Spoil = lambda content: content) -> None:
         """Put the good flight, changed, where it belongs."""
@@ -43,7 +46,8 @@ class Zone:
         intake = ingest_flights(self.landing, self.store, self.ledger, AIRCRAFT, [FLIGHT])
         for table, frame in zip(TAKEN_IN, (intake.rows, intake.deliveries, intake.quarantine), strict=True):
             self.store.merge(table, {AIRCRAFT: [FLIGHT]}, frame)
-        account, quarantine = self.store.read_table("raw_deliveries"), self.quarantine
+        account = self.store.read_table("raw_deliveries")
+        quarantine = self.quarantine
         assert (account["delivered"] == account["loaded"] + account["quarantined"] + account["duplicate"]).all()
         assert (account["duplicate"] >= 0).all()
         assert account["loaded"].sum() == intake.rows.height

@@ -31,7 +31,9 @@ class Zone:
     """A landing zone of two aircraft, and what the raw stage made of it."""
 
     def __init__(self, root: Path) -> None:
-        self.landing, self.store, self.ledger = root / "landing", Store(root / "home"), Ledger(root / "home")
+        self.landing = root / "landing"
+        self.store = Store(root / "home")
+        self.ledger = Ledger(root / "home")
         for path, content in {CSV: GOOD.read_bytes(), OTHER: GOOD.read_bytes().replace(b"LX-AAA", b"LX-AAB")}.items():
             (self.landing / path).parent.mkdir(parents=True)
             (self.landing / path).write_bytes(content)
@@ -48,7 +50,8 @@ class Zone:
             frames = {t: TABLES[t].schema.create_empty() for t in STAGE["raw"].tables}
             frames |= {"raw_snapshots": intake.rows, "raw_deliveries": intake.deliveries}
             frames["raw_quarantine"] = intake.quarantine
-            io, scope = FrameIO(self.store, self.ledger), PartitionScope({aircraft: [flight]})
+            io = FrameIO(self.store, self.ledger)
+            scope = PartitionScope({aircraft: [flight]})
             for table in STAGE["raw"].tables:
                 io.store_frame(table, scope, frames[table])
         return [tail for _, tail, *_ in cells]

@@ -19,7 +19,8 @@ def test_present_sources_learn_shipped_base():
 
 def test_changed_code_changes_the_sources(monkeypatch, tmp_path):
     """What is said in comments and docstrings is none."""
-    before, code = recipe.sources(), recipe.code_of
+    before = recipe.sources()
+    code = recipe.code_of
     assert code('"""One."""\nx = 1  # one\n') == code('"""Two."""\nx = 1\n')
     monkeypatch.setattr(
         recipe, "code_of", lambda text: code(text.replace("RATE, RATE_SD = 0.0012", "RATE, RATE_SD = 0.0013"))

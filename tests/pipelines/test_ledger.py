@@ -23,7 +23,8 @@ from pipelines.orchestration import around_night
 from pipelines.storage import database
 from pipelines.storage.ledger import FILE, NAMES, Ledger
 
-A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
+A = ("AQX", "LX-AAA")
+B = ("AQX", "LX-AAB")
 FILES = [("a/1.csv", *A, "acms", 2**40, 2**62, "d1"), ("a/m.csv", *A, "messages", 1, 1, "d2"),
          ("b/1.csv", *B, "acms", 1, 1, "d3")]  # fmt: skip
 HOLDINGS = {
@@ -126,7 +127,8 @@ def _hold(home: Path, ready, over) -> None:
 def test_lock_ends_with_its_process(ledger, tmp_path):
     """A second home stands for a second machine; without a common database each home is a fleet of its own."""
     spawn = multiprocessing.get_context("spawn")
-    ready, over = spawn.Event(), spawn.Event()
+    ready = spawn.Event()
+    over = spawn.Event()
     first = spawn.Process(target=_hold, args=(tmp_path / "one", ready, over))
     first.start()
     assert ready.wait(30)

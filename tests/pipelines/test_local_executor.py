@@ -92,7 +92,9 @@ def _night(landing: Path, home: Path) -> None:
         def advance(self, cells: int) -> None:
             (home / "workers").write_text(" ".join(str(c.pid) for c in multiprocessing.active_children()))
 
-    local_executor.FLIGHTS_TO_SHARE, batches.CELLS_A_RUN, nightly.STAGES = 1, 12, unfolded(nightly.STAGES)
+    local_executor.FLIGHTS_TO_SHARE = 1
+    batches.CELLS_A_RUN = 12
+    nightly.STAGES = unfolded(nightly.STAGES)
     with around_night.lock_home(home):
         nightly.run_night(landing, home, Teller(), jobs=2)
 

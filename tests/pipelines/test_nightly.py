@@ -81,7 +81,8 @@ def test_refused_file_changes_no_model(own_home):
 
 def test_disorderly_delivery_ends_clean(sample_landing, sample_home, tmp_path):
     """Three nights: first the newest files, then some of them again and the logs, at last the old history."""
-    landing, home = tmp_path / "landing", tmp_path / "home"
+    landing = tmp_path / "landing"
+    home = tmp_path / "home"
     shutil.copytree(sample_landing, landing, ignore=shutil.ignore_patterns("history_*", "maintenance.csv", "cpl"))
     keep_base(sample_home, home)
     assert not run(landing, home).failed
@@ -95,9 +96,11 @@ def test_disorderly_delivery_ends_clean(sample_landing, sample_home, tmp_path):
         target.parent.mkdir(exist_ok=True)
         shutil.copy(late, target)
     assert not run(landing, home).failed
-    clean, late_frames = tables(sample_home), tables(home)
+    clean = tables(sample_home)
+    late_frames = tables(home)
     for name in COMPARED:
-        ours, theirs = clean[name].drop("file", strict=False), late_frames[name].drop("file", strict=False)
+        ours = clean[name].drop("file", strict=False)
+        theirs = late_frames[name].drop("file", strict=False)
         assert ours.equals(theirs), name
 
 

@@ -18,7 +18,8 @@ from pipelines.orchestration.runs import open_instance
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 
-ONE, OTHER = "AQX:LX-AAB", "BZR:A9-BAC"
+ONE = "AQX:LX-AAB"
+OTHER = "BZR:A9-BAC"
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,8 @@ class Page:
 
 def stored(home) -> dict[str, tuple[list[str], pl.DataFrame]]:
     """Of each table its files, named by their content, and which cells the ledger says are made as what."""
-    ledger, files = Ledger(home), Store(home).snapshot()
+    ledger = Ledger(home)
+    files = Store(home).snapshot()
     return {t: (files[t][1], ledger.cells(t).sort(pl.all())) for t in TABLES}
 
 
@@ -72,7 +74,8 @@ def test_remade_cell_changes_nothing(page, stage):
 
 
 def test_remade_range_changes_nothing(page):
-    first, last = flown(page, ONE)[40], flown(page, OTHER)[60]
+    first = flown(page, ONE)[40]
+    last = flown(page, OTHER)[60]
     per_flight = [stage.name for stage in STAGES if stage.grain == "flight"]
     page.materialize(per_flight, tags=range_tags(first, last))
     page.materialize([stage.name for stage in STAGES if stage.grain == "aircraft"], tags=range_tags(ONE, OTHER))

@@ -57,7 +57,8 @@ def at_once(sample_home) -> Tables:
 @pytest.fixture(scope="module")
 def nights(sample_landing, tmp_path_factory) -> dict[str, Tables]:
     """What each night's catalog held."""
-    root, catalogs = tmp_path_factory.mktemp("nights"), {}
+    root = tmp_path_factory.mktemp("nights")
+    catalogs = {}
     for end in NIGHTS:
         land(sample_landing, root / "landing", end)
         night = run(root / "landing", root / "home")
@@ -97,7 +98,8 @@ def test_later_nights_revise_no_row(nights, at_once):
     version = at_once["tables.calibration_dsm"]["dsm_version"]
     settled = [end for end in NIGHTS[:-1] if nights[end]["tables.calibration_dsm"]["dsm_version"].equals(version)]
     assert settled == list(NIGHTS[1:-1])
-    by_night, compared = {}, set()
+    by_night = {}
+    compared = set()
     for end in settled:
         for name, whole in at_once.items():
             day = None if name in OF_TONIGHT else _day_of_row(name, whole)

@@ -25,7 +25,8 @@ from pipelines.storage.publication import publish
 from pipelines.storage.store import FLEET
 
 BADGE = r"(T-\d) pack (\d) \(\w+\)\s+AAA.*?\s(Act now|Plan|No action)\s"
-THEN, NOW = 10, 40
+THEN = 10
+NOW = 40
 LOSSES = {("T-1", 1): (0.16, 0.34), ("T-1", 2): (0.02, 0.04), ("T-2", 1): (0.17, 0.21), ("T-2", 2): (0.01, 0.02)}
 CHANCES = {("T-1", 1): (0.03, 0.88), ("T-1", 2): (0.0, 0.0), ("T-2", 1): (0.04, 0.2), ("T-2", 2): (0.0, 0.0)}
 ALERTS = (
@@ -39,7 +40,9 @@ ALERTS = (
 
 def tables(tail: str) -> dict[str, list[dict]]:
     """What is stored of one aircraft: two flights that count, the one that raised its alerts and its last."""
-    health, prognoses, alerts = [], [], []
+    health = []
+    prognoses = []
+    alerts = []
     for (own, pack), loss in LOSSES.items():
         for n, value, p in zip((THEN, NOW), loss, CHANCES[own, pack], strict=True):
             row = flight(n, tail=tail) | {"pack": pack, "component": "HX"}
@@ -64,7 +67,8 @@ def tables(tail: str) -> dict[str, list[dict]]:
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     where = tmp_path_factory.mktemp("home")
-    store, outlook = empty_home(where), []
+    store = empty_home(where)
+    outlook = []
     for tail in ("T-1", "T-2"):
         for name, rows in tables(tail).items():
             if name == "prognoses":

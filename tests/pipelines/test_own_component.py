@@ -57,7 +57,9 @@ NITROGEN = Component(
     )),
 )
 '''
-FLIGHTS, FAILS, REPLACED = 220, 190, 193
+FLIGHTS = 220
+FAILS = 190
+REPLACED = 193
 TRUTH = {"AQ-WORN": 0.2 * np.clip((np.arange(FLIGHTS) - 30) / (FAILS - 30), 0.0, None), "AQ-SOUND": np.zeros(FLIGHTS)}
 TRUTH["AQ-WORN"][REPLACED:] = 0.0
 NG_COLUMNS = ["flight_id", "report_time", "pack", "inlet_degc", "ratio", "exit_degc"]
@@ -74,7 +76,8 @@ def flight_id(tail: str, flight: int) -> str:
 def compressor_flight(tail: str, flight: int) -> pl.DataFrame:
     """Twenty samples of one flight, with sensor noise, in the recorder's units."""
     rng = np.random.default_rng([flight, len(tail)])
-    inlet, ratio = 255.0 + rng.normal(0, 6) + rng.normal(0, 0.1, 20), rng.uniform(2.0, 4.0, 20)
+    inlet = 255.0 + rng.normal(0, 6) + rng.normal(0, 0.1, 20)
+    ratio = rng.uniform(2.0, 4.0, 20)
     loss = TRUTH[tail][flight]
     exit_k = inlet * (1.0 + (ratio ** (0.4 / 1.4) - 1.0) / (0.74 * (1.0 - loss))) + rng.normal(0, 0.7, 20)
     start = datetime(2024, 3, 1, 8, tzinfo=UTC) + timedelta(days=flight)
@@ -92,9 +95,11 @@ def deliver_compressors(landing: Path) -> None:
         with (landing / "fleet.csv").open("a") as fleet:
             fleet.write(f"AQX,{tail},2,2020-01-01,2\n")
     worn = landing / "AQX" / "AQ-WORN"
-    failed, done = flight_id("AQ-WORN", FAILS), datetime(2024, 3, 1, tzinfo=UTC) + timedelta(days=REPLACED - 1)
+    failed = flight_id("AQ-WORN", FAILS)
+    done = datetime(2024, 3, 1, tzinfo=UTC) + timedelta(days=REPLACED - 1)
     raised = f"{datetime(2024, 3, 1, 8, 30, tzinfo=UTC) + timedelta(days=FAILS):%Y-%m-%dT%H:%M:%SZ}"
-    message, work = f"{raised},{failed},2,47-31-NGTEMP,NGS COMPR HOT", f"{done:%Y-%m-%d},2,NG,REPLACED,DAMAGED,WO-1"
+    message = f"{raised},{failed},2,47-31-NGTEMP,NGS COMPR HOT"
+    work = f"{done:%Y-%m-%d},2,NG,REPLACED,DAMAGED,WO-1"
     (worn / "messages.csv").write_text(f"message_time,flight_id,pack,code,text\n{message}\n")
     (worn / "maintenance.csv").write_text(f"done_on,pack,component,action,finding,reference\n{work}\n")
 
@@ -115,7 +120,9 @@ def spoil(landing: Path) -> None:
 def world(tmp_path_factory) -> dict[str, Any]:
     """Both packages, both deliveries, one night."""
     top = tmp_path_factory.mktemp("own")
-    landing, home, packages = top / "landing", top / "home", top / "packages"
+    landing = top / "landing"
+    home = top / "home"
+    packages = top / "packages"
     declared, delivered = blocks("python")
     (entry,) = [line for line in blocks("toml")[0].splitlines() if "=" in line]
     install(packages, "rig", declared, entry.replace('"', ""))

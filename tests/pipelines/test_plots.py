@@ -93,7 +93,8 @@ def test_figure_15_shows_the_residuals(calibrated):
 
 
 def test_deepest_replaced_loss_is_drawn():
-    start, replaced = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC), 40
+    start = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
+    replaced = 40
     own = {"operator": "AAA", "pack": 1}
     shares = [
         own | {"tail": f"T-{k}", "flight_id": f"T-{k}_{n}", "departed_at": start + dt.timedelta(days=n)}

@@ -13,7 +13,8 @@ from command import hdt
 
 from pipelines.storage.ledger import Ledger
 
-_DROP_FROM_BOUNDING_SET, _OVERRIDE_PERMISSIONS = 24, 1
+_DROP_FROM_BOUNDING_SET = 24
+_OVERRIDE_PERMISSIONS = 1
 
 LOOKS = {
     "status": (),
@@ -95,7 +96,9 @@ def test_killed_writers_ledger_reads_whole(own_home):
 
 def test_ledger_reads_whole_while_written(tmp_path):
     """Each commit adds a pair, of which a reader sees both or none."""
-    ledger, over, n_files = Ledger(tmp_path), threading.Event(), []
+    ledger = Ledger(tmp_path)
+    over = threading.Event()
+    n_files = []
     ledger.register([], {})
 
     def read() -> None:

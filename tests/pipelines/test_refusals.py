@@ -53,7 +53,9 @@ TAKEN_IN = ("raw_snapshots", "raw_deliveries", "raw_quarantine")
 
 def night(landing: Path, home: Path) -> frozenset[str]:
     """Take in what lies there, as far as the raw stage; the files that came."""
-    store, ledger, aircraft = Store(home), Ledger(home), ("AQX", "LX-AAA")
+    store = Store(home)
+    ledger = Ledger(home)
+    aircraft = ("AQX", "LX-AAA")
     new_paths = scan(landing, ledger).new_paths
     flights = ledger.flights_on_file()["flight_id"].to_list()
     intake = ingest_flights(landing, store, ledger, aircraft, flights)

@@ -149,7 +149,8 @@ def _night(landing: Path, home: Path) -> None:
 def test_night_resumes_a_killed_one(fleet, alone):
     from benchmarks.site import wait
 
-    began, other = fleet.now(), fleet.home("other")
+    began = fleet.now()
+    other = fleet.home("other")
     first = multiprocessing.get_context("spawn").Process(target=_night, args=(fleet.landing, other))
     first.start()
     query = "select count(distinct tail) from done where asset = 'raw_flights'"

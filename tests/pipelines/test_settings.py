@@ -250,7 +250,8 @@ READERS = {
 
 @pytest.mark.parametrize("make", ENDLESS.values(), ids=ENDLESS)
 def test_endless_costs_block_no_scan(tmp_path, make):
-    landing, home = tmp_path / "landing", tmp_path / "home"
+    landing = tmp_path / "landing"
+    home = tmp_path / "home"
     landing.mkdir()
     home.mkdir()
     make(home / "costs.toml")

@@ -20,7 +20,9 @@ from pipelines.storage.objects import StoreError
 from pipelines.storage.store import FLEET, OPEN, Store
 
 AIRCRAFT = ("AQX", "LX-AAA")
-MAY, MAY_TOO, JUNE = "LX-AAA_20240501_01", "LX-AAA_20240502_01", "LX-AAA_20240601_01"
+MAY = "LX-AAA_20240501_01"
+MAY_TOO = "LX-AAA_20240502_01"
+JUNE = "LX-AAA_20240601_01"
 
 
 @pytest.fixture(params=["files", "objects"])
@@ -117,7 +119,8 @@ def test_variable_places_the_tables(tmp_path, monkeypatch):
 def test_same_rows_make_no_commit(store):
     ids = [MAY, MAY_TOO]
     merge(store, ids)
-    first, version = store.tables.shards("raw_flights"), store.tables.open("raw_flights").version()
+    first = store.tables.shards("raw_flights")
+    version = store.tables.open("raw_flights").version()
     merge(store, ids[::-1])
     assert store.tables.shards("raw_flights") == first
     assert store.tables.open("raw_flights").version() == version
@@ -155,7 +158,8 @@ def test_repeated_key_is_refused(store):
 
 @pytest.mark.parametrize("table", TABLES)
 def test_other_libraries_open_the_table(sample_home, table):
-    rows, path = Store(sample_home).read_table(table).height, str(sample_home / "tables" / table)
+    rows = Store(sample_home).read_table(table).height
+    path = str(sample_home / "tables" / table)
     delta = DeltaTable(path)
     assert pl.read_delta(path).height == pl.scan_delta(path).collect().height == rows
     assert delta.to_pyarrow_table().num_rows == delta.to_pyarrow_dataset().count_rows() == rows
@@ -168,7 +172,8 @@ def test_other_libraries_open_the_table(sample_home, table):
 
 def test_table_is_opened_once(tmp_path, monkeypatch):
     """A log of years takes a while to read; another process may have written meanwhile."""
-    opened, open_ = [], Deltas.open
+    opened = []
+    open_ = Deltas.open
     Store(tmp_path).declare("raw_flights")
     monkeypatch.setattr(Deltas, "open", lambda *arguments: opened.append(arguments) or open_(*arguments))
     for n in (1, 2):
@@ -244,7 +249,8 @@ def test_objects_keep_flights_once(tmp_path, s3_url):
 
 def check_any_order(store: Store, seed: int, nights: int) -> None:
     """Nights in order, late flights, whole histories and flights that vanish, against a plain dictionary."""
-    rng, expected = random.Random(seed), dict[str, int]()
+    rng = random.Random(seed)
+    expected = dict[str, int]()
     for n in range(nights):
         flights = rng.sample(FLIGHTS, rng.choice((1, 2, 5, 30)))
         removed = set(flights) if rng.random() < 0.1 else set()
@@ -272,7 +278,8 @@ def test_lost_months_return_once(tmp_path, months):
 
 
 def test_lost_year_makes_flights_stale(tmp_path):
-    store, ledger = Store(tmp_path / "home"), Ledger(tmp_path / "home")
+    store = Store(tmp_path / "home")
+    ledger = Ledger(tmp_path / "home")
     merge(store, FLIGHTS)
     done = [{"operator": "AQX", "tail": "LX-AAA", "flight_id": f, "version": "1"} for f in FLIGHTS]
     ledger.mark("raw_flights", pl.DataFrame(done))
@@ -285,7 +292,8 @@ def test_lost_year_makes_flights_stale(tmp_path):
 
 
 def test_rebuilt_log_counts_months_once(tmp_path):
-    store, ledger = Store(tmp_path / "home"), Ledger(tmp_path / "home")
+    store = Store(tmp_path / "home")
+    ledger = Ledger(tmp_path / "home")
     for month in range(0, len(FLIGHTS), 2):
         merge(store, FLIGHTS[month : month + 2])
     ledger.note_snapshot({"raw_flights": store.tables.open("raw_flights").version()})

@@ -125,7 +125,8 @@ SCENARIOS = (
 @pytest.fixture
 def folders(sample_home, tmp_path) -> tuple[Path, Path]:
     """A landing zone without a file, and a home that has seen none."""
-    landing, home = tmp_path / "landing", tmp_path / "home"
+    landing = tmp_path / "landing"
+    home = tmp_path / "home"
     landing.mkdir()
     keep_base(sample_home, home)
     return landing, home
@@ -133,9 +134,11 @@ def folders(sample_home, tmp_path) -> tuple[Path, Path]:
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda f: f.__name__)
 def test_unlike_fleet_ends_sound(scenario, folders, sample_home, tmp_path):
-    (landing, home), nights = folders, 0
+    landing, home = folders
+    nights = 0
     for _ in scenario(landing):
-        night, nights = run(landing, home), nights + 1
+        night = run(landing, home)
+        nights = nights + 1
         assert night.failed == {}
         assert faults(home, landing) == []
     if nights > 1:
@@ -189,8 +192,10 @@ def test_disagreeing_files_are_named(folders, sample_home):
     landing, home = folders
     zones = [simulated(31 + k, 3, operator=o, tail=t) for k, (o, t) in enumerate([("QQX", "Z9"), ("QQY", "Z9")])]
     swapped, fahrenheit, _ = zones[0].flights
-    one, other = pl.col("hx_in_degc"), pl.col("hx_out_degc")
-    wrong, warm = pl.col("flight_id") == swapped, pl.col("flight_id") == fahrenheit
+    one = pl.col("hx_in_degc")
+    other = pl.col("hx_out_degc")
+    wrong = pl.col("flight_id") == swapped
+    warm = pl.col("flight_id") == fahrenheit
     zones[0].snapshots = zones[0].snapshots.with_columns(
         pl.when(wrong).then(other).otherwise(one).alias("hx_in_degc"),
         pl.when(wrong).then(one).otherwise(other).alias("hx_out_degc"),
@@ -221,7 +226,8 @@ def test_disagreeing_files_are_named(folders, sample_home):
     assert f"QQX/Z9/acms/{swapped}.csv: hx_in_degc, hx_out_degc swapped columns" in check(home).message
 
 
-FLIGHTS, BROKEN = 7, "breaks_declaration"
+FLIGHTS = 7
+BROKEN = "breaks_declaration"
 
 
 @pytest.fixture(scope="module")

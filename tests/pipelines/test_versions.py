@@ -13,7 +13,8 @@ from pipelines.storage.ledger import Ledger
 from pipelines.storage.store import Store
 from pipelines.versions import CELL, expected_versions, stale_cells_of
 
-A, B = ("AQX", "LX-AAA"), ("AQX", "LX-AAB")
+A = ("AQX", "LX-AAA")
+B = ("AQX", "LX-AAB")
 
 
 def deliver(ledger: Ledger, aircraft, name: str, flights: list[str], digest: str, kind: str = "acms") -> None:
@@ -102,7 +103,8 @@ def test_flight_without_rows_spares_model(ledger):
 
 
 def test_baseline_counts_records_within_window(tmp_path):
-    ledger, store = Ledger(tmp_path), Store(tmp_path)
+    ledger = Ledger(tmp_path)
+    store = Store(tmp_path)
     deliver(ledger, A, "x.csv", ["LX-AAA_20240501_01"], "d")
     make(ledger, "raw_flights", "legs_samples")
     before = set(expected_versions(ledger, "calibration_dsm")["version"])
@@ -123,7 +125,8 @@ def test_every_table_has_a_version(ledger, table):
 
 
 def test_delivery_order_changes_no_version(tmp_path):
-    one, two = Ledger(tmp_path / "1"), Ledger(tmp_path / "2")
+    one = Ledger(tmp_path / "1")
+    two = Ledger(tmp_path / "2")
     files = [("x.csv", "d1"), ("y.csv", "d2")]
     for ledger, order in ((one, files), (two, files[::-1])):
         for name, digest in order:
@@ -141,7 +144,8 @@ def test_query_order_changes_no_version(ledger, monkeypatch, table):
     tables = "calibration_schedules", "legs_indicators", "features_margin", "features", "prognosis_base", "raw_messages"
     make(ledger, *tables, "raw_maintenance")
     assert ledger.cells("features_margin").height == 3
-    answers, as_asked = Ledger.lines, expected_versions(ledger, table)
+    answers = Ledger.lines
+    as_asked = expected_versions(ledger, table)
 
     def turned(self: Ledger, asset: str) -> pl.DataFrame:
         backwards = pl.col("lines").str.split("|").list.reverse().list.join("|")

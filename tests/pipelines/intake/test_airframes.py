@@ -9,7 +9,9 @@ from pipelines.intake.logs import FleetLine
 
 DAY = date(2024, 5, 20)
 BEFORE = DAY - timedelta(days=1)
-FIRST, LATER, LEASED = ("AQX", "LX-AAC"), ("AQX", "LX-ZZC"), ("BZR", "LX-AAC")
+FIRST = ("AQX", "LX-AAC")
+LATER = ("AQX", "LX-ZZC")
+LEASED = ("BZR", "LX-AAC")
 
 
 def line(folder, msn="40002", since=None, until=None, delivered=None) -> FleetLine:

@@ -233,7 +233,8 @@ def test_excess_faulty_values_are_counted(good_flight, deliver, read):
 
 
 def test_every_reason_has_a_test():
-    tests, root = Path(__file__).parents[2], Path(__file__).parents[3]
+    tests = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     folders = tests / "pipelines", tests / "hdt_core/record", root / "extensions/tests"
     source = "".join(p.read_text() for folder in folders for p in folder.glob("**/test_*.py"))
     assert [r for r in REASONS if f'"{r}"' not in source] == []

@@ -56,10 +56,8 @@ def test_flights_named_alike_stay_apart(put):
     read = read_balanced(*files)
     assert [d.n_loaded for d in read] == [5, 5]
     assert [d.rows.filter(signal="hot_in_k")["value"].unique().to_list() for d in read] == [[400.0], [410.0]]
-    short, long = (
-        put("AAA/T1/hx/b.csv", lines("C1", 3, 401)),
-        put("AAA/T1/hx/a.csv", lines("C1", 6)),
-    )
+    short = put("AAA/T1/hx/b.csv", lines("C1", 3, 401))
+    long = put("AAA/T1/hx/a.csv", lines("C1", 6))
     read = read_balanced(long, short)
     assert [d.n_loaded for d in read] == [6, 0]
     assert read[1].quarantine["reason"].to_list() == ["conflicting_delivery"] * 3
@@ -151,7 +149,8 @@ def test_broken_reader_is_named(bring, content, message):
 
 
 def test_each_folder_has_its_reader(bring):
-    one, other = reader("drums"), reader("tapes", "wires")
+    one = reader("drums")
+    other = reader("tapes", "wires")
     bring(point("a", one), point("b", other))
     assert readers() == {"drums": one, "tapes": other, "wires": other}
 

@@ -21,7 +21,8 @@ from pipelines.intake.logs import read_fleet, read_maintenance, read_messages
 from pipelines.intake.merge import merge_deliveries
 from pipelines.intake.snapshots import read_snapshots
 
-ROOT, PROJECT = Path(__file__).parents[2] / "data" / "dirty", Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2] / "data" / "dirty"
+PROJECT = Path(__file__).parents[3]
 
 # file: reason, scope, entries, rows kept out, rows read, columns that must be named
 EXPECTED: dict[str, tuple[str | None, str | None, int, int, int, str]] = {
@@ -114,7 +115,8 @@ def test_no_other_file_is_reported(landing, intake, logs):
 def test_flight_of_howto_is_taken_in(monkeypatch):
     monkeypatch.chdir(PROJECT)
     page = walk("raw-data.md")
-    written, sample = list_landing(page["landing"]), list_landing(PROJECT / "data_samples")
+    written = list_landing(page["landing"])
+    sample = list_landing(PROJECT / "data_samples")
     mine = read_snapshots([f for f in written.files if f.tail == "9H-XYZ"])
     same = read_snapshots([f for f in sample.files if f"data_samples/{f.path}" == page["sample"]])
     assert written.quarantine.height == mine.quarantine.height == 0

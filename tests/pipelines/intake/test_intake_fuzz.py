@@ -107,5 +107,6 @@ def test_sample_fleet_has_no_fault(read):
     assert intake.delivered["n_delivered"].sum() == 395_012
     assert intake.quarantine.is_empty()
     files = [f for f in list_landing(SAMPLES).files if f.tail == "A9-BAB" and f.kind == "acms"]
-    together, alone = read(files).rows, pl.concat([read(f).rows for f in files])
+    together = read(files).rows
+    alone = pl.concat([read(f).rows for f in files])
     assert together.sort("file", "row_in_file").equals(alone.sort("file", "row_in_file"))

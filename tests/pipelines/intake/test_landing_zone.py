@@ -75,7 +75,8 @@ def test_unfinished_file_is_left_alone(tmp_path, name):
     "linked", ["AQX/LX-AAA/acms/LX-AAA_20240525_04.csv", "AQX/LX-AAA/acms", "AQX/LX-AAA", "AQX", "fleet.csv"]
 )
 def test_outside_link_is_refused(tmp_path, linked):
-    outside, zone = tmp_path / "outside", tmp_path / "zone"
+    outside = tmp_path / "outside"
+    zone = tmp_path / "zone"
     put(outside, "secret.csv", b"secret")
     os.makedirs((zone / linked).parent)
     os.symlink(outside / "secret.csv" if linked.endswith(".csv") else outside, zone / linked)

@@ -5,7 +5,8 @@ import pytest
 from tests.support.small_catalog import OWN, catalog
 
 AIRCRAFT = {"operator": OWN["operator"], "tail": OWN["tail"]}
-FIRST, SECOND = "T-1_20240301_01", "T-1_20240302_01"
+FIRST = "T-1_20240301_01"
+SECOND = "T-1_20240302_01"
 
 
 @pytest.mark.parametrize("reason", ["not_fitted", "lower_rate", "one_channel"])

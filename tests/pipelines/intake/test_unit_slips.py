@@ -10,14 +10,17 @@ from pipelines.intake.columns import SIGNAL_NAMES
 from pipelines.intake.unit_slips import find_unit_slips
 
 SAMPLES = Path(__file__).parents[3] / "data_samples"
-KELVIN, KPA, KG_S = (1.0, 273.15), (6.894757, 0.0), (0.45359237 / 60.0, 0.0)
+KELVIN = (1.0, 273.15)
+KPA = (6.894757, 0.0)
+KG_S = (0.45359237 / 60.0, 0.0)
 SLIPS = [
     *((c, KELVIN, "unit_kelvin") for c in ("tat_degc", "hx_in_degc", "hx_out_degc", "cc_in_degc", "cc_out_degc")),
     *((c, KPA, "unit_kpa") for c in ("pt_psia", "cc_in_psia", "cc_out_psia")),
     *((c, KG_S, "unit_kg_s") for c in ("pack_flow_lbpm", "cc_flow_lbpm")),
 ]
 CELSIUS = ("tat_degc", "hx_in_degc", "hx_out_degc", "ram_out_degc", "cc_in_degc", "cc_out_degc")
-PSI, FLOWS = ("pt_psia", "cc_in_psia", "cc_out_psia"), ("pack_flow_lbpm", "cc_flow_lbpm")
+PSI = ("pt_psia", "cc_in_psia", "cc_out_psia")
+FLOWS = ("pack_flow_lbpm", "cc_flow_lbpm")
 OTHER_UNITS = [  # columns, the agreed unit as scale and offset of the one written, its name
     *(((c,), 1.8, 32.0, "°F") for c in CELSIUS),
     (CELSIUS, 1.8, 32.0, "°F"),
@@ -131,7 +134,8 @@ def test_swapped_columns_are_named(one, other, eighth):
 
 def test_swap_on_one_pack_is_found(eighth):
     swapped = pl.col("pack") == 1
-    one, other = pl.col("hx_in_degc"), pl.col("hx_out_degc")
+    one = pl.col("hx_in_degc")
+    other = pl.col("hx_out_degc")
     wired = eighth.with_columns(
         pl.when(swapped).then(other).otherwise(one).alias("hx_in_degc"),
         pl.when(swapped).then(one).otherwise(other).alias("hx_out_degc"),
@@ -179,7 +183,8 @@ HOT_EXIT = {"tat_degc": -20.0, "hx_in_degc": 30.0, "hx_out_degc": 15.0, "ram_out
 @pytest.mark.parametrize(("near", "reasons"), [(OFF, []), (HOT_EXIT, ["swapped_columns"])])
 def test_unrecorded_column_is_never_swapped(near, reasons):
     """A pack that is off says nothing of a sensor that nobody fitted."""
-    rng, n = np.random.default_rng(0), 60
+    rng = np.random.default_rng(0)
+    n = 60
     read = {c: near[c] + rng.normal(0.0, 0.4, n) if c in near else pl.Series([None] * n, dtype=pl.Float64)
             for c in SIGNAL_NAMES}  # fmt: skip
     rows = pl.DataFrame({"file_index": [0] * n, "flight_id": ["T_20240101_01"] * n, "pack": [1] * n, **read})
@@ -189,7 +194,8 @@ def test_unrecorded_column_is_never_swapped(near, reasons):
 @pytest.mark.parametrize("far", [1.7e308, -1.7e308, 1e200, -1e155, np.inf])
 def test_absurd_number_overflows_nothing(far):
     """Warnings are errors here: NumPy would say so in the middle of a night."""
-    rng, n = np.random.default_rng(0), 60
+    rng = np.random.default_rng(0)
+    n = 60
     read = {c: rng.normal(HOT_EXIT.get(c, 50.0), 0.4, n) for c in SIGNAL_NAMES}
     for name in SIGNAL_NAMES:
         read[name][7] = far

@@ -12,7 +12,11 @@ class Reader(HTMLParser):
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)
-        self.tags, self.attributes, self.words, self.open, self.crossed = [], [], [], [], []
+        self.tags = []
+        self.attributes = []
+        self.words = []
+        self.open = []
+        self.crossed = []
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)

@@ -88,7 +88,9 @@ def test_chart_zooms_by_dates(opened):
     chart = page.locator("#tracks .track").first
     chart.scroll_into_view_if_needed()
     seen = "chart => [...chart.querySelectorAll('.day')].filter((d) => d.style.display !== 'none').length"
-    view, days, box = chart.locator(".plot"), chart.evaluate(seen), chart.bounding_box()
+    view = chart.locator(".plot")
+    days = chart.evaluate(seen)
+    box = chart.bounding_box()
     assert days > 1
     middle = box["y"] + box["height"] / 2
     page.mouse.move(box["x"] + box["width"] * 0.45, middle)
@@ -146,7 +148,8 @@ def test_paper_holds_urgent_packs(opened, tmp_path):
 def test_documentation_pictures_are_drawn(sample_home, tmp_path):
     """As those in docs/images are; in a process of its own, for the browser of these tests holds this one's loop."""
     root = Path(__file__).parents[3]
-    run, env = [sys.executable, "docs/pictures.py", sample_home, tmp_path], os.environ | {"PYTHONPATH": str(root)}
+    run = [sys.executable, "docs/pictures.py", sample_home, tmp_path]
+    env = os.environ | {"PYTHONPATH": str(root)}
     done = subprocess.run(run, cwd=root, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     for name in ("report.png", "alert.png"):

@@ -94,10 +94,12 @@ def test_chart_ends_at_present_state(facts, sample_page):
     drawn = tracks(facts)
     for row in pack_rows(facts):
         name = f"pack-{row['operator']}-{row['tail']}-{row['pack']}"
-        own, layout = drawn[name], drawing(drawn, name, fleet_band(facts), 0.15)
+        own = drawn[name]
+        layout = drawing(drawn, name, fleet_band(facts), 0.15)
         assert f'points="{layout["lines"]["own"]}"' in sample_page
         x, y = map(float, layout["lines"]["own"].split()[-1].split(","))
-        (x0, x1), (low, top) = own["x"], own["y"]
+        x0, x1 = own["x"]
+        low, top = own["y"]
         assert x0 + x / SIDE * (x1 - x0) == pytest.approx(own["own"]["x"][-1], abs=1e-4 * (x1 - x0))
         assert top - y / SIDE * (top - low) == pytest.approx(own["own"]["y"][-1], abs=0.01)
         assert own["own"]["y"][-1] == pytest.approx(100 * row["loss"], abs=0.06)
@@ -122,7 +124,8 @@ def with_outlook(facts: Facts, **values) -> Facts:
 def test_forecast_fans_out_from_loss(facts):
     left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0}
     for track in tracks(with_outlook(facts, **left)).values():
-        now, loss = track["now"], track["own"]["y"][-1]
+        now = track["now"]
+        loss = track["own"]["y"][-1]
         level = max(38.0, loss)
         assert track["fan"]["area"] == [(now, loss), (now + 10 * DAY_MS, level), (now + 75 * DAY_MS, level)]
         assert track["fan"]["median"] == [(now, loss), (now + 30 * DAY_MS, level)]
@@ -240,7 +243,8 @@ def test_hostile_names_stay_text(facts, read, hostile, sample_page):
     frames = {name: poison(f) for name, f in facts.frames.items()}
     bad = replace(facts, frames=frames, card={hostile: {hostile: hostile}, "list": [hostile]})
     html = page(bad)
-    parsed, plain = read(html), read(sample_page)
+    parsed = read(html)
+    plain = read(sample_page)
     assert parsed.tags.count("script") == plain.tags.count("script")
     assert all(source.startswith("data:image/svg+xml;base64,") for source in parsed.values("src"))
     assert parsed.tags.count("img") == len(parsed.values("src")) <= plain.tags.count("img")

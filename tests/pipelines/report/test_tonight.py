@@ -45,7 +45,8 @@ def test_dates_lie_on_an_axis(facts, days, mark):
 
 
 def test_bound_has_its_own_date(facts):
-    low, middle = dt.date(2024, 7, 1), dt.date(2024, 9, 1)
+    low = dt.date(2024, 7, 1)
+    middle = dt.date(2024, 9, 1)
     due = first_screen(facts, due_on=middle, due_low_on=low, due_high_on=None, is_bound=True)["due"]
     assert (due["mark"], due["text"]) == (None, "after 2024-07-01")
 

@@ -142,7 +142,8 @@ def test_night_shows_at_once(tmp_path):
 @pytest.fixture
 def with_withdrawn(fresh_home):
     """A home whose log holds a case that went on from alert `first` to alert `last`, and was withdrawn."""
-    log, ours = CaseLog(fresh_home), find_case(fresh_home, "wear") | {"alert_id": "first"}
+    log = CaseLog(fresh_home)
+    ours = find_case(fresh_home, "wear") | {"alert_id": "first"}
     log.append(ours, "assign", "Ada", {"assignee": "Bo", "note": "look at it"})
     for kind in (FOLLOW, WITHDRAW):
         log.append(
@@ -210,7 +211,8 @@ def test_notes_are_escaped(page):
 
 
 def test_late_change_names_the_first(page, home):
-    one, two = page("Eng"), page("Own")
+    one = page("Eng")
+    two = page("Own")
     assert say(one, "wear", "assign", 0, assignee="Eng").status_code == 200
     late = say(two, "wear", "assign", 0, assignee="Own")
     assert late.status_code == 409
@@ -259,7 +261,8 @@ def test_odd_form_breaks_nothing(page, home):
             assert answer.status_code < 500, (method, where)
 
 
-FORM, PARTS = "application/x-www-form-urlencoded", "multipart/form-data; boundary=b"
+FORM = "application/x-www-form-urlencoded"
+PARTS = "multipart/form-data; boundary=b"
 PART = b'--b\r\nContent-Disposition: form-data; name="kind"'
 
 

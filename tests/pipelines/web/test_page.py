@@ -104,7 +104,8 @@ def test_page_changes_nothing_unasked(sample_landing, home):
 
 
 def test_deletion_needs_the_token(page, home):
-    (port, token), before = page, runs(home)
+    port, token = page
+    before = runs(home)
     delete = deletion(home)
     searched = f"/graphql?query={delete.replace(' ', '%20').replace(chr(34), '%22')}"
     assert over_http(port, "GET", "/?token=another")[0] == 403
@@ -124,7 +125,8 @@ def test_deletion_needs_the_token(page, home):
 
 def test_socket_changes_nothing(page, home):
     client = pytest.importorskip("websockets.sync.client")
-    (port, token), before = page, runs(home)
+    port, token = page
+    before = runs(home)
     where = {"uri": f"ws://127.0.0.1:{port}/graphql", "subprotocols": ["graphql-ws"]}
     own = session(port, token)
     with pytest.raises(Exception, match="403"):

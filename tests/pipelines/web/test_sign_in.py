@@ -43,7 +43,8 @@ def test_token_becomes_a_cookie():
 
 
 def test_each_start_has_new_token():
-    before, now = LocalToken(ADA), LocalToken(ADA)
+    before = LocalToken(ADA)
+    now = LocalToken(ADA)
     client = by_token(before)
     later = Client(Guard(page, LOCAL, now))
     later.cookies.update(client.cookies)
@@ -54,7 +55,9 @@ def test_each_start_has_new_token():
 
 def test_signing_out_ends_every_copy():
     token = LocalToken(ADA)
-    client, thief, other = by_token(token), Client(Guard(page, LOCAL, token)), by_token(token)
+    client = by_token(token)
+    thief = Client(Guard(page, LOCAL, token))
+    other = by_token(token)
     thief.cookies.update(client.cookies)
     assert thief.get("/").status_code == 200
     for method in ("GET", "HEAD"):
@@ -100,7 +103,8 @@ def test_guesses_lock_nobody_out():
 
 def test_oldest_session_gives_way():
     token = LocalToken(ADA)
-    first, second = by_token(token), by_token(token)
+    first = by_token(token)
+    second = by_token(token)
     for _ in range(SESSIONS - 1):
         by_token(token)
     assert (first.get("/").status_code, second.get("/").status_code) == (401, 200)
