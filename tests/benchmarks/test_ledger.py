@@ -20,7 +20,7 @@ def module_file(module: str) -> Path:
 
 
 @pytest.mark.parametrize("constant", ledger.ledger(), ids=lambda c: f"{c.module}:{c.path}")
-def test_an_entry_can_be_changed(constant):
+def test_entry_can_be_changed(constant):
     """Halved and doubled sources differ from the present ones, and compile."""
     source = module_file(constant.module).read_text()
     variants = [changed(source, constant.path, factor, constant.scale) for factor in ledger.FACTORS]
@@ -30,7 +30,7 @@ def test_an_entry_can_be_changed(constant):
     assert constant.source
 
 
-def test_every_number_of_these_rooms_stands_in_it():
+def test_ledger_lists_every_number():
     """As an entry, or among those that are settled, once."""
     entries = {f"{c.module.removeprefix('hdt_core.')}:{c.path}" for c in ledger.ledger()}
     settled = {name for names in LEDGER["settled"].values() for name in names}
@@ -59,19 +59,19 @@ def _entered(name: str, entries: set[str]) -> bool:
         ("A = dict(x=3, y=5)", "A.y", "value", {"x": 3, "y": 10}),
     ],
 )
-def test_what_is_named_is_doubled_and_nothing_else(source, path, scale, value):
+def test_only_named_constant_is_doubled(source, path, scale, value):
     space: dict = {}
     exec(changed(source, path, 2.0, scale), space)
     result = space["L"].A if "L." in path else space[path.split(".")[0]]
     assert result == value
 
 
-def test_a_name_that_is_not_there_is_refused():
+def test_unknown_constant_is_refused():
     with pytest.raises(KeyError):
         changed("A = 1", "B", 2.0)
 
 
-def test_the_chain_in_memory_is_the_night(sample_home):
+def test_chain_in_memory_equals_night(sample_home):
     """Health, prognoses and alerts are those that the night stored."""
     tables, store = chain.run(read_record(sample_home)), Store(sample_home)
     key = ["operator", "tail", "flight_id", "pack"]
@@ -87,7 +87,7 @@ def test_the_chain_in_memory_is_the_night(sample_home):
     assert set(tables["alerts"].select(alerts).iter_rows()) == set(stored.select(alerts).iter_rows())
 
 
-def test_a_cell_that_was_not_run_again_stays_as_the_page_has_it(tmp_path, monkeypatch):
+def test_missing_run_keeps_published_cell(tmp_path, monkeypatch):
     page, results = tmp_path / "constants.md", tmp_path / "results.jsonl"
     page.write_text("<!-- ledger: begin -->\n<!-- ledger: end -->\n")
     monkeypatch.setattr(ledger, "PAGE", page)

@@ -8,7 +8,7 @@ from hdt_core.components.pack import CC
 from hdt_core.estimation import estimators
 
 
-def test_methods_by_name_and_the_chain_follow_the_same_flights():
+def test_methods_follow_same_flights_as_chain():
     plane = aircraft(102)
     parts = list(packs(plane))
     number = next(k for k, pack in enumerate(parts) if pack.component is CC)

@@ -23,7 +23,7 @@ def life(number: int, flights: int, *, failed: bool, left_after: int = 0) -> pl.
 FAILED = [life(number, 10 * number, failed=True) for number in range(1, 11)]
 
 
-def test_highest_limit_that_avoids_eight_of_ten():
+def test_limit_avoids_eight_of_ten():
     limit = choose_limit(pl.concat(FAILED), "loss")
 
     # of the lives of 30 to 100 flights, the shortest has a loss of .2 ten flights before its message
@@ -40,7 +40,7 @@ def test_price_counts_avoided_messages():
 
 
 @pytest.mark.parametrize(("left_after", "unneeded"), [(280, 1.0), (279, 0.0)])
-def test_renewal_is_unneeded_from_300_flights_on(left_after, unneeded):
+def test_renewal_is_unneeded_from_300_flights(left_after, unneeded):
     spared = life(11, 40, failed=False, left_after=left_after)
     rows = pl.concat([FAILED[9], spared]).with_columns(passed=pl.col("loss") >= 0.2)
 
@@ -48,7 +48,7 @@ def test_renewal_is_unneeded_from_300_flights_on(left_after, unneeded):
 
 
 @pytest.mark.parametrize(("day", "failed"), [(date(2024, 1, 31), True), (date(2024, 1, 30), False)])
-def test_message_is_known_from_its_day_on(day, failed):
+def test_message_counts_from_its_day(day, failed):
     known = as_of(FAILED[2], day)
 
     assert known["failed"].all() == failed

@@ -21,7 +21,7 @@ def life(number: int, flights: int, risk: np.ndarray, loss: np.ndarray, failed: 
     )
 
 
-def test_a_risk_that_knows_the_loss_alerts_where_the_budget_ends_and_an_ignorant_one_never():
+def test_informed_risk_alerts_where_budget_ends():
     loss = np.linspace(0.0, 0.4, 401)
     risks = pl.concat([life(n, 401, loss, loss) for n in range(4)])
     median, tenth, early = lead_at_budget(risks, early_per_1000=0.0)
@@ -42,7 +42,7 @@ def test_heat_takes_reserve(seed):
     assert loss_at_message(design, 20.0) <= loss_at_message(design, 0.0)
 
 
-def test_types_of_every_reserve_are_drawn():
+def test_every_reserve_class_is_drawn():
     classes = {reserve_class(seed) for seed in range(9000, 9012)}
 
     assert classes == set(RESERVE_CLASSES)
@@ -90,13 +90,13 @@ MESSAGE = {"component": "HX", "installed_index": 0, "message_index": 500}
         (("CC_DEGRADED", 400, None), 0.0, np.nan),  # names the wrong component
     ],
 )
-def test_a_failure_is_alerted_by_its_own_component_in_the_300_flights_before(alert, alerted, right):
+def test_failure_is_alerted_within_300_flights(alert, alerted, right):
     figures = figures_of(tally(fleet([alert], [MESSAGE])), "HX")
     assert figures["alerted"] == alerted
     np.testing.assert_equal(figures["right within 200"], right)
 
 
-def test_the_true_fault_of_its_component_makes_an_alert_right_and_another_does_not():
+def test_only_true_fault_makes_alert_right():
     worn = (pl.col("index") >= 300).cast(pl.Float64) * 0.16
     truth = {"apparent_ua_ratio": 1.0 - worn}
     raised = [("HX_FOULING", 100, None), ("HX_FOULING", 99, None), ("SENSOR_FAULT", 350, None)]
@@ -107,7 +107,7 @@ def test_the_true_fault_of_its_component_makes_an_alert_right_and_another_does_n
     assert scores.alerts["early"].to_list() == [True, True, False]
 
 
-def test_rates_count_flights_once_and_a_door_fault_alerts_while_it_lasts():
+def test_rates_count_flights_once():
     alerts = [("HX_FOULING", 450, None), ("HX_LOW_MARGIN", 201, None), ("CC_DEGRADED", 400, None)]
     figures = overall(tally(fleet(alerts, [MESSAGE])))
     assert (figures["alerted"], figures["lead"]) == (1.0, 299.0)

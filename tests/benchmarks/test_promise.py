@@ -10,7 +10,7 @@ from hdt_core.estimation import Belief, NonlinearLeastSquares, UnscentedKalman, 
 from hdt_estimators import DifferentialEvolution
 
 
-def test_every_method_keeps_its_promise_and_none_raises():
+def test_every_method_keeps_its_promise():
     tallies = main(len(FAMILIES), list(estimators().values()), seed=3, starts=4)
     assert not [raised for tally in tallies for raised in tally.raised]
     assert not [broken for tally in tallies for broken in tally.broken]
@@ -19,7 +19,7 @@ def test_every_method_keeps_its_promise_and_none_raises():
     )  # a promise kept by silence is none
 
 
-def test_a_local_optimum_is_called_one_and_the_better_is_named():
+def test_local_optimum_names_better_one():
     local = []
     for family, problem, _ in draw_problems(4 * len(FAMILIES), seed=5):
         if family == "wave":
@@ -32,7 +32,7 @@ def test_a_local_optimum_is_called_one_and_the_better_is_named():
     assert local
 
 
-def test_an_unscented_filter_that_loses_its_covariance_has_a_status():
+def test_filter_losing_covariance_has_status():
     for seed in range(4):
         problem, _ = van_der_pol(np.random.default_rng(seed))
         proper = Belief(np.array([1.0]), np.array([[0.25]]))
@@ -41,14 +41,14 @@ def test_an_unscented_filter_that_loses_its_covariance_has_a_status():
 
 
 @pytest.mark.parametrize("estimator", estimators().values(), ids=lambda e: e.name)
-def test_a_sigma_declared_three_times_too_small_is_not_passed_in_silence(estimator):
+def test_too_small_sigma_is_reported(estimator):
     estimate = estimator.estimate(loud(np.random.default_rng(2))[0])
     assert estimate.fit.verdict == "lack_of_fit"
     assert estimate.fit.reduced_chi2 > 4.0
     assert "lack_of_fit" in estimate.summary()
 
 
-def test_deviations_cover_where_those_of_the_declared_sigma_do_not():
+def test_scaled_deviations_cover_undeclared_noise():
     declared, stated, scaled, sandwich = [], [], [], []
     truth_of = np.random.default_rng(7).spawn(150)
     for rng in truth_of:
@@ -68,7 +68,7 @@ def test_deviations_cover_where_those_of_the_declared_sigma_do_not():
     assert np.mean(sandwich) == pytest.approx(0.9, abs=0.07)
 
 
-def test_a_record_without_noise_has_one_optimum():
+def test_noiseless_record_has_one_optimum():
     for seed in range(6):
         problem, _ = exact(np.random.default_rng(seed))
         estimate = DifferentialEvolution().estimate(problem)

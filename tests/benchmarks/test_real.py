@@ -40,7 +40,7 @@ def rig(tmp_path_factory):
     return folder
 
 
-def test_a_valve_that_shuts_is_found_while_it_is_shut(rig):
+def test_shut_valve_is_detected(rig):
     f1, false, missed = skab.run(rig).scores
     assert f1.value > 0.9
     assert false.value < 0.1
@@ -48,7 +48,7 @@ def test_a_valve_that_shuts_is_found_while_it_is_shut(rig):
     assert skab.RECIPE.find_folder(rig.parent) == rig
 
 
-def test_only_rows_after_those_learned_from_are_scored(rig, tmp_path):
+def test_teaching_rows_are_not_scored(rig, tmp_path):
     """A fault's label among the rows that teach would be a miss that no detector can help."""
     folder = tmp_path / "skab"
     for file in skab.files(rig):
@@ -61,13 +61,13 @@ def test_only_rows_after_those_learned_from_are_scored(rig, tmp_path):
 
 
 @pytest.mark.parametrize("leave", [None, 900.0])
-def test_bounds_of_censored_lives_hold_as_often_as_they_say(leave):
+def test_censored_life_bounds_cover(leave):
     """By the law that the lives were drawn from, over 100 tables."""
     scores = [lives.of_law("", leave, units) for units in (600, 3000)] if leave is None else [lives.of_law("", leave)]
     assert all(score.value == pytest.approx(0.9, abs=0.01) for score in scores)
 
 
-def test_a_table_of_lives_is_read_by_its_own_end(tmp_path):
+def test_life_table_keeps_its_end(tmp_path):
     rng = RNG(3)
     start = rng.uniform(0.0, 500.0, 4000)
     end = np.minimum(start + 400.0 * rng.weibull(2.0, 4000), 1000.0)
@@ -78,17 +78,17 @@ def test_a_table_of_lives_is_read_by_its_own_end(tmp_path):
     assert lives.of_table(file).value == pytest.approx(0.9, abs=0.02)  # one table: its own scatter is .007
 
 
-def test_bounds_say_what_a_short_record_can_not_tell():
+def test_short_record_has_no_upper_bound():
     bounds = life_bounds(np.full(300, 50.0), np.zeros(300, bool), np.full(300, 50.0))
     assert (bounds.low, bounds.high) == (50.0, np.inf)
 
 
-def test_the_challenge_s_penalty_is_the_published_one():
+def test_challenge_penalty_is_as_published():
     """exp(-d / 13) - 1 for early, exp(d / 10) - 1 for late forecasts, summed; d is forecast less truth."""
     assert cmapss.phm_score(np.array([-13.0, 10.0, 0.0])) == pytest.approx(2.0 * (np.e - 1.0))
 
 
-def test_capped_and_uncapped_lives_are_scored_apart():
+def test_capped_lives_are_scored_apart():
     """Two engines with 50 and 200 cycles left; the forecast ends lie between 50 and 65, and between 125 and 150."""
     by = np.stack([np.where(end <= cmapss.EDGES, 1.0, 0.0) for end in (65.0, 150.0)])
     low, high = np.array([40.0, 100.0]), np.array([70.0, 160.0])
@@ -103,7 +103,7 @@ def test_capped_and_uncapped_lives_are_scored_apart():
     assert scores["FD001: 95 % interval, lives capped at 125, width [cycles]"] == pytest.approx((30.0 + 25.0) / 2.0)
 
 
-def test_a_flight_condition_that_differs_costs_the_turbofans_nothing(tmp_path):
+def test_flight_conditions_keep_turbofan_track(tmp_path):
     """FD002's six conditions laid over FD001's own sensors: the health track stays, for regimes are told apart."""
     folder = cmapss.Path(__file__).parents[1] / "data" / "cmapss"
     plain = cmapss.load(folder, "train_FD001")
@@ -123,7 +123,7 @@ def test_a_flight_condition_that_differs_costs_the_turbofans_nothing(tmp_path):
     assert np.corrcoef(*tracks)[0, 1] > 0.99
 
 
-def test_the_swapped_columns_of_the_filters_are_put_right(tmp_path):
+def test_swapped_filter_columns_are_corrected(tmp_path):
     """A life falls to 0, a dust feed does not: whichever way the names stand."""
     time = np.arange(1, 101) / 10.0
     life, feed = 10.0 - time, np.full(100, 60.0)
@@ -153,11 +153,11 @@ def test_the_swapped_columns_of_the_filters_are_put_right(tmp_path):
         ("", 1.0, None),
     ],
 )
-def test_a_goal_is_held_or_not(goal, value, is_met):
+def test_goal_is_met_within_bounds(goal, value, is_met):
     assert Score("", value, 0.0, 1.0, goal).is_met is is_met
 
 
-def test_what_is_absent_is_told_with_where_to_get_it(tmp_path):
+def test_absent_data_name_their_source(tmp_path):
     for recipe in (r for r in RECIPES if r.wants):
         assert recipe.find_folder(tmp_path) is None
         text = described(recipe, None)

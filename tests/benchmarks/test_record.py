@@ -39,14 +39,14 @@ def changed_flights(before: Record, after: Record) -> set[str]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_fault_names_all_it_changes(kind, record):
+def test_fault_names_every_changed_flight(kind, record):
     fault = KINDS[kind](np.random.default_rng(3), record)
 
     assert changed_flights(record, fault.record) <= fault.flights
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_fault_changes_the_record(kind, record):
+def test_fault_changes_record(kind, record):
     fault = KINDS[kind](np.random.default_rng(3), record)
 
     is_other_log = not record.maintenance.equals(fault.record.maintenance)
@@ -66,24 +66,24 @@ def test_a_fault_changes_the_record(kind, record):
     ],
     ids=["urgency", "loss", "forecast", "no loss", "end of a life", "length of a life", "alert"],
 )
-def test_what_moves_without_a_reason_is_silent(fault, faulty):
+def test_unexplained_move_is_silent(fault, faulty):
     assert compare(fault, 1, SOUND, faulty).is_silent
 
 
-def test_what_moves_as_by_chance_is_not_silent(fault):
+def test_chance_move_counts_as_none(fault):
     faulty = replace(SOUND, packs=[PACK._replace(loss=0.11, flights_left=180.0)], lives=[LIFE._replace(n_flights=91)])
 
     assert not compare(fault, 1, SOUND, faulty).has_moved
 
 
 @pytest.mark.parametrize(("flight", "is_found"), [(FLIGHT, True), ("A9-BAB_20240415_02", False)])
-def test_a_reason_counts_for_its_flight(fault, flight, is_found):
+def test_reason_counts_for_its_flight(fault, flight, is_found):
     faulty = replace(SOUND, reasons=frozenset({(flight, "", "out_of_reach")}))
 
     assert compare(fault, 1, SOUND, faulty).is_found == is_found
 
 
-def test_no_fault_is_silent_where_its_kind_is_seen():
+def test_visible_faults_are_never_silent():
     verdicts = list(draw_all(DRAWS, workers=2))
 
     silent = [v for v in verdicts if v.is_silent and v.kind in SEEN]

@@ -5,7 +5,7 @@ from benchmarks.harness import put, race_table
 from benchmarks.spring_mass_damper import contestants, figures, main, tables
 
 
-def test_tables_and_figures_follow_from_the_result(tmp_path):
+def test_tables_follow_from_result(tmp_path):
     rows = main(seeds=3, slow_seeds=1, estimators=[e for e in contestants() if e.name in ("nls", "pso", "ekf", "ukf")])
     assert [row.n_seeds for row in rows] == [3, 3, 3, 3]
     assert all(row.failures == 0 for row in rows)
@@ -19,7 +19,7 @@ def test_tables_and_figures_follow_from_the_result(tmp_path):
     assert all(path.stat().st_size > 1000 for path in figures(rows, tmp_path / "plots"))
 
 
-def test_peers_give_the_same_answers():
+def test_peers_give_same_answers():
     # the ratios depend on the machine and are the benchmark's to print; that both sides do the same work is a test's
     fit, filtered = fit_claim(rounds=1, records=2), filter_claim(rounds=1, records=2)
     assert max(fit.apart.values()) < 1e-5

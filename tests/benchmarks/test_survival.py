@@ -22,7 +22,7 @@ def lives(n: int, cut: float, seed: int = 0) -> pl.DataFrame:
     )
 
 
-def test_no_knowledge_is_a_coin_and_cutting_lives_short_moves_no_score():
+def test_censoring_moves_no_score():
     assert censored_scores(lives(3000, 1 / 500), "none")["c_index"] == pytest.approx(0.5)
     assert censored_scores(lives(3000, 1 / 500), "none")["brier_100_skill"] < 0.0
     # That is what the weights are for: without them the share of failures seen would.
