@@ -31,7 +31,7 @@ ARGUMENTS = {
 
 
 @pytest.mark.parametrize("name", sorted(set(OURS) - {"worker"}))
-def test_a_service_starts_a_command_that_takes_what_it_is_given(name):
+def test_service_takes_its_command(name):
     program, *words = OURS[name]["entrypoint"]
     command = typer.main.get_command(app) if program == "hdt" else pkgutil.resolve_name(COMMANDS[program])()
     if hasattr(command, "commands") and words[0] in command.commands:
@@ -40,7 +40,7 @@ def test_a_service_starts_a_command_that_takes_what_it_is_given(name):
     assert {k: params.get(k) for k in ARGUMENTS[name]} == ARGUMENTS[name]
 
 
-def test_workers_start_what_runs_dagsters_tasks_and_settings_send_them_there(monkeypatch):
+def test_workers_run_dagster_tasks(monkeypatch):
     """The command as Celery reads it, and the service's own broker in the address that the settings name."""
     monkeypatch.setenv("HDT_BROKER_URL", "memory://")
     program, of, module, worker, flag, runs_at_once = OURS["worker"]["entrypoint"]
@@ -55,7 +55,7 @@ def test_workers_start_what_runs_dagsters_tasks_and_settings_send_them_there(mon
     assert variables <= set(environment)
 
 
-def test_nothing_starts_unasked_what_is_named_is_there_and_the_page_is_this_machines():
+def test_services_name_present_parts():
     assert {name for name, s in SERVICES.items() if "profiles" in s} == {"broker", "worker", "night"}
     mounted = [v.rsplit(":", 2 if v.endswith(":ro") else 1)[0] for s in SERVICES.values() for v in s["volumes"]]
     for source in mounted:
@@ -71,7 +71,7 @@ def test_nothing_starts_unasked_what_is_named_is_there_and_the_page_is_this_mach
 
 
 @pytest.mark.parametrize("name", ["dagster.yaml", "celery.yaml"])
-def test_dagster_takes_the_settings_and_finds_its_classes_and_variables(name, tmp_path, monkeypatch):
+def test_dagster_takes_deployed_settings(name, tmp_path, monkeypatch):
     text = (ROOT / "deploy" / name).read_text()
     (tmp_path / "dagster.yaml").write_text(text)
     variables = set(re.findall(r"env: (\w+)", text))
@@ -88,7 +88,7 @@ def test_dagster_takes_the_settings_and_finds_its_classes_and_variables(name, tm
     assert all("postgres" in module for module in kept_in)
 
 
-def test_what_a_cluster_is_given_fits_together():
+def test_cluster_manifests_fit_together():
     """Names that one manifest makes and another uses; the settings in it are those of the other engines but for one."""
     documents = list(yaml.safe_load_all((ROOT / "deploy/kubernetes.yaml").read_text()))
     names = {(d["kind"], d["metadata"]["name"]) for d in documents}
@@ -105,7 +105,7 @@ def test_what_a_cluster_is_given_fits_together():
     assert ours["run_launcher"]["class"] == "K8sRunLauncher"
 
 
-def test_linked_folders_are_in_the_image():
+def test_linked_folders_are_in_image():
     let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     links = [f for package in PACKAGES for f in (ROOT / package).rglob("*") if f.is_symlink()]
 
@@ -115,7 +115,7 @@ def test_linked_folders_are_in_the_image():
     assert targets <= let_in
 
 
-def test_the_image_copies_and_brings_what_its_commands_need():
+def test_image_brings_needed_extras():
     lines = (ROOT / "Dockerfile").read_text().splitlines()
     copied = [w for line in lines if line.startswith("COPY") and "--from" not in line for w in line.split()[1:-1]]
     let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
@@ -132,7 +132,7 @@ def test_the_image_copies_and_brings_what_its_commands_need():
     assert set(installed.split(",")) <= set(locked)
 
 
-def test_a_night_is_installed_from_the_same_resolution():
+def test_night_shares_locked_versions():
     of_all, of_a_night = (
         set(re.findall(r"^\S+==\S+", (ROOT / name).read_text(), re.MULTILINE))
         for name in ("requirements.lock", "requirements-run.lock")

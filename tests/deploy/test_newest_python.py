@@ -24,7 +24,7 @@ NEWEST = next(filter(runs, NAMES), None)
 
 
 @pytest.mark.skipif(NEWEST is None, reason="no Python newer than the one that runs the tests")
-def test_both_commands_pass_on_the_newest_python(tmp_path):
+def test_commands_pass_on_newest_python(tmp_path):
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(tmp_path / "clone")], check=True)
     environment = {k: v for k, v in os.environ.items() if k != "VIRTUAL_ENV"}
 
