@@ -127,7 +127,7 @@ class AnyOrder(RuleBasedStateMachine):
             self.run_a_night()
 
 
-def test_any_order_of_deliveries_and_kills_ends_as_the_model_says(children, intact, tmp_path):
+def test_any_order_ends_as_modelled(children, intact, tmp_path):
     AnyOrder.children, AnyOrder.intact, AnyOrder.root = children, staticmethod(intact), tmp_path
     known = {"derandomize": True, "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
     how = settings(max_examples=EXAMPLES, stateful_step_count=9, **known)
@@ -135,7 +135,7 @@ def test_any_order_of_deliveries_and_kills_ends_as_the_model_says(children, inta
 
 
 @pytest.mark.parametrize("goes", ["taken away", "replaced", "broken"])
-def test_what_a_killed_night_stored_is_accounted_for_though_its_file_goes(children, intact, tmp_path, goes):
+def test_killed_night_keeps_its_account(children, intact, tmp_path, goes):
     """Killed when the rows were stored and their account was not."""
     landing, home = tmp_path / "landing", children.home(tmp_path / "home")
     drop_fleet(landing, [ZONE])

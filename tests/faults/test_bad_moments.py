@@ -96,14 +96,14 @@ MOMENTS = [unmount, rename_aircraft, cut_all_files, exchange_flights, remove_log
 
 
 @pytest.mark.parametrize("happen", MOMENTS)
-def test_next_night_brings_what_was_lost(clean, folders, happen, monkeypatch):
+def test_next_night_brings_lost_files(clean, folders, happen, monkeypatch):
     disturbed_night(*folders, happen, monkeypatch)
 
     assert night(*folders).returncode == 0
     assert fingerprint(folders[1]) == fingerprint(clean[1])
 
 
-def test_night_names_what_it_lost(folders, monkeypatch):
+def test_night_names_vanished_zone(folders, monkeypatch):
     result = disturbed_night(*folders, unmount, monkeypatch)
 
     assert result.returncode == 1
@@ -127,7 +127,7 @@ class TenYearsBehind(datetime):
         return datetime.now(tz) - timedelta(days=3653)
 
 
-def test_logs_come_once_the_clock_is_right(clean, folders, monkeypatch):
+def test_logs_come_with_right_clock(clean, folders, monkeypatch):
     with monkeypatch.context() as within:
         within.setattr(raw, "datetime", TenYearsBehind)
         night(*folders)
@@ -136,7 +136,7 @@ def test_logs_come_once_the_clock_is_right(clean, folders, monkeypatch):
     assert fingerprint(folders[1]) == fingerprint(clean[1])
 
 
-def test_message_of_the_future_makes_no_run_before_its_time(folders):
+def test_future_message_makes_no_run(folders):
     landing, home = folders
     with open(landing / "QQX/Z9/messages.csv", "a") as log:
         log.write(f"{datetime.now(UTC) + timedelta(days=900):{STAMP}},,1,21-52-HXTEMP,hot\n")

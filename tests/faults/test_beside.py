@@ -81,7 +81,7 @@ def once_read(monkeypatch: pytest.MonkeyPatch, table: str, work: Callable[[], No
     ("stage", "read"),
     [("twin_health", "raw_maintenance"), ("features", "raw_maintenance"), ("features_alerts", "features")],
 )
-def test_a_page_run_over_a_night_loses_nothing(own, end, children, monkeypatch, stage, read):
+def test_page_run_over_night_loses_nothing(own, end, children, monkeypatch, stage, read):
     def fly() -> None:
         ZONE.only(ZONE.flights[4:]).drop_csv(own / "landing")
         assert children.night(own / "landing", own / "home") == (0, "")
@@ -92,7 +92,7 @@ def test_a_page_run_over_a_night_loses_nothing(own, end, children, monkeypatch, 
     assert fingerprint(own / "home") == end
 
 
-def test_a_page_run_beside_none_succeeds(own):
+def test_lone_page_run_succeeds(own):
     before = fingerprint(own / "home")
     assert run_from_page(own, "twin_health")
     assert fingerprint(own / "home") == before
@@ -139,7 +139,7 @@ def stored(home: Path, stage: str) -> tuple[dict[str, str], list[list[tuple]]]:
 
 
 @pytest.mark.parametrize(("stage", "nths"), [("twin_health", (0, 0)), ("legs", (0, 0)), ("legs", (0, 1))])
-def test_two_page_runs_at_once_end_as_one_after_the_other(with_ledger, stage, nths):
+def test_parallel_page_runs_end_as_serial(with_ledger, stage, nths):
     home, spawn = with_ledger / "home", multiprocessing.get_context("spawn")
     forget(home, stage)
     assert all(run_from_page(with_ledger, stage, nth) for nth in nths)

@@ -134,7 +134,7 @@ def noticed(whole: Whole, home: Path, trial: int) -> tuple[tuple[str, str, str],
     return done, wrong
 
 
-def test_no_damage_gives_a_wrong_answer_or_none_without_a_word(whole, tmp_path):
+def test_damage_gives_no_wrong_answer(whole, tmp_path):
     tally = Counter[tuple[str, ...]]()
     for trial in range(DAMAGES):
         done, wrong = noticed(whole, tmp_path / "home", trial)
@@ -144,7 +144,7 @@ def test_no_damage_gives_a_wrong_answer_or_none_without_a_word(whole, tmp_path):
 
 
 @pytest.mark.parametrize("first", range(0, DAMAGES // 2, len(KINDS)))
-def test_the_next_night_repairs_it(whole, children, tmp_path, first):
+def test_next_night_repairs_damage(whole, children, tmp_path, first):
     for trial in range(first, first + len(KINDS)):
         home = tmp_path / f"home{trial}"
         done, wrong = noticed(whole, home, trial)
@@ -171,7 +171,7 @@ def rotten(whole: Whole, home: Path, *tables: str) -> list[Path]:
     return files
 
 
-def test_what_the_doctor_finds_the_next_night_makes_again(whole, children, tmp_path):
+def test_night_repairs_file_doctor_names(whole, children, tmp_path):
     home = tmp_path / "home"
     rotten(whole, home, "features")
     (message,) = [check.message for check in examine(None, home) if not check.well]
@@ -184,7 +184,7 @@ def test_what_the_doctor_finds_the_next_night_makes_again(whole, children, tmp_p
     assert children.night(whole.landing, home) == (0, "")
 
 
-def test_nights_without_work_notice_it_in_turn(whole, children, tmp_path):
+def test_idle_nights_notice_rot_in_turn(whole, children, tmp_path):
     home = tmp_path / "home"
     (file,) = rotten(whole, home, "residuals")  # read by no stored view: those are checked when a home has moved
     name, ledger = str(file.relative_to(home / "tables")), Ledger(home)
@@ -196,14 +196,14 @@ def test_nights_without_work_notice_it_in_turn(whole, children, tmp_path):
     assert fingerprint(home) == whole.stored
 
 
-def test_each_file_has_its_turn_once_in_a_cycle():
+def test_cycle_checks_each_file_once():
     names = [f"features/QQX/Z{n:03}/all.parquet" for n in range(1000)]
     turns = [seal.files_to_read(names, night) for night in range(7, 7 + seal.CYCLE)]
     assert sorted(name for turn in turns for name in turn) == names
     assert max(map(len, turns)) < 3 * len(names) / seal.CYCLE
 
 
-def test_a_night_that_meets_it_mends_it_and_goes_on(whole, children, tmp_path):
+def test_working_night_mends_rotten_tables(whole, children, tmp_path):
     """Of a raw table, of one whose rows others are made of, and of one that is made last."""
     clean, home = Path(shutil.copytree(whole.home, tmp_path / "clean")), tmp_path / "home"
     rotten(whole, home, "raw_snapshots", "twin_health", "features_margin")
@@ -217,7 +217,7 @@ def test_a_night_that_meets_it_mends_it_and_goes_on(whole, children, tmp_path):
     assert answers(home) == answers(clean)
 
 
-def test_no_answer_is_given_from_a_rotten_file(whole, tmp_path):
+def test_rotten_file_gives_no_answer(whole, tmp_path):
     home = tmp_path / "home"
     rotten(whole, home, "features")
     with connect(home) as con:
@@ -228,7 +228,7 @@ def test_no_answer_is_given_from_a_rotten_file(whole, tmp_path):
                 con.execute(query)
 
 
-def test_a_file_that_the_catalog_cant_open_is_named(whole, tmp_path):
+def test_unreadable_file_is_named(whole, tmp_path):
     home = tmp_path / "home"
     (file,) = rotten(whole, home, "raw_flights")
     flip(file, file.stat().st_size - 6)  # of the length of its footer

@@ -27,7 +27,7 @@ FULL = 2
 
 
 @pytest.mark.parametrize("limit", [3_000, 20_000, 100_000])
-def test_no_file_may_grow_beyond_a_limit(tiny, children, intact, tmp_path, limit):
+def test_file_size_limit_loses_nothing(tiny, children, intact, tmp_path, limit):
     """Parquet, SQLite and DuckDB writers all meet it; the smaller the limit, the earlier."""
     home = children.home(tmp_path / "home")
     ended, message = children.night(tiny.landing, home, file_limit=limit)
@@ -43,7 +43,7 @@ def test_no_file_may_grow_beyond_a_limit(tiny, children, intact, tmp_path, limit
     ("fault", "end"),
     [("before_write:1", None), ("before_rename:6", 0), ("before_mark:4", None), ("before_register:1", None)],
 )
-def test_disk_full_at_a_writer_then_space_again(tiny, children, intact, tmp_path, fault, end):
+def test_night_recovers_from_full_disk(tiny, children, intact, tmp_path, fault, end):
     """A run whose parts have room is made in parts, and the night says so."""
     home = children.home(tmp_path / "home")
     ended, message = children.night(tiny.landing, home, fault=f"{fault}:full", steps=3)
@@ -55,7 +55,7 @@ def test_disk_full_at_a_writer_then_space_again(tiny, children, intact, tmp_path
     assert stored == {t: tiny.end[t] for t in stored}
 
 
-def test_a_home_that_may_not_be_written(children):
+def test_unwritable_home_stays_as_is(children):
     """The night stops with the reason, and leaves the home as it was. In a folder that anyone may enter."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
@@ -83,7 +83,7 @@ def test_a_home_that_may_not_be_written(children):
         (OperationalError("insert", {}, sqlite3.OperationalError("disk I/O error")), "hdt: disk I/O error; free space"),
     ],
 )
-def test_the_command_says_so_in_one_line(monkeypatch, tmp_path, error, line):
+def test_disk_error_takes_one_line(monkeypatch, tmp_path, error, line):
     def full(*_: object, **__: object) -> None:
         raise error
 
@@ -95,7 +95,7 @@ def test_the_command_says_so_in_one_line(monkeypatch, tmp_path, error, line):
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_what_is_not_yet_on_disk_has_no_name(tmp_path, monkeypatch):
+def test_file_is_synced_before_naming(tmp_path, monkeypatch):
     """A power cut drops what was not synced: content is synced before it is named, the name before it is told."""
     done = []
     sync, replace = os.fsync, Path.replace
@@ -116,7 +116,7 @@ def test_what_is_not_yet_on_disk_has_no_name(tmp_path, monkeypatch):
     assert done == [f"sync {part}", f"{part} becomes shard.parquet", f"sync {tmp_path.name}"]
 
 
-def test_the_ledger_and_the_history_wait_for_the_disk(tmp_path):
+def test_databases_sync_each_commit(tmp_path):
     """What they say survives a power cut: SQLite syncs each commit."""
     with Ledger(tmp_path)._database.transaction() as con:
         assert con.execute("pragma synchronous").fetchone() == (FULL,)
@@ -127,7 +127,7 @@ def test_the_ledger_and_the_history_wait_for_the_disk(tmp_path):
                 assert con.exec_driver_sql("pragma synchronous").scalar() == FULL
 
 
-def test_the_power_is_cut_further_on_each_time(tiny, children, intact, tmp_path):
+def test_power_cuts_lose_nothing(tiny, children, intact, tmp_path):
     """Through a whole night; every other cut takes Dagster's history of that night as well."""
     home = children.home(tmp_path / "home")
     for place in count(3, 12):
@@ -142,7 +142,7 @@ def test_the_power_is_cut_further_on_each_time(tiny, children, intact, tmp_path)
     assert state(home) == tiny.end
 
 
-def test_a_cut_would_tell_if_files_were_not_synced(tiny, children, tmp_path):
+def test_power_cut_takes_unsynced_files(tiny, children, tmp_path):
     """The simulated cut bites: with syncing off, the ledger speaks of files that are gone."""
     home = children.home(tmp_path / "home")
     cut = {"sync": False}
@@ -154,7 +154,7 @@ def test_a_cut_would_tell_if_files_were_not_synced(tiny, children, tmp_path):
     assert fingerprint(home)["raw_snapshots"] != tiny.end["raw_snapshots"]
 
 
-def test_every_fault_point_is_in_the_code():
+def test_code_has_every_fault_point():
     sources = "".join(p.read_text() for p in Path(files.__file__).parent.glob("*.py"))
     points = set(re.findall(r'sys.audit\("hdt.(\w+)"\)', sources))
     assert points == {*fault_points.POINTS, *fault_points.OF_OBJECTS}

@@ -24,7 +24,7 @@ KILLS = int(os.environ.get("HDT_SOAK_KILLS", "24"))
 """Kills at random moments, beside those at the named places."""
 
 
-def test_killed_at_one_place_further_on_each_time(tiny, children, intact, tmp_path):
+def test_kill_at_each_place_loses_nothing(tiny, children, intact, tmp_path):
     """Place by place through the whole night: the first night dies at its first place, the second at its second, ..."""
     home = children.home(tmp_path / "home")
     for place in count(1):
@@ -39,7 +39,7 @@ def test_killed_at_one_place_further_on_each_time(tiny, children, intact, tmp_pa
 
 
 @pytest.mark.parametrize("point", POINTS)
-def test_killed_at_a_named_place_of_the_intake(tiny, children, intact, tmp_path, point):
+def test_kill_at_intake_loses_nothing(tiny, children, intact, tmp_path, point):
     """The place that writes what was delivered: rows may be stored and not yet accounted for."""
     home = children.home(tmp_path / "home")
     nth = 1 if "register" in point or "publish" in point else 9
@@ -51,7 +51,7 @@ def test_killed_at_a_named_place_of_the_intake(tiny, children, intact, tmp_path,
     assert {t: stored[t] for t in delivered} == {t: tiny.end[t] for t in delivered}
 
 
-def test_killed_at_any_moment(tiny, children, intact, tmp_path):
+def test_kill_at_any_moment_loses_nothing(tiny, children, intact, tmp_path):
     chance, kills, homes = random.Random(7), 0, 0
     while kills < KILLS:
         home, homes = children.home(tmp_path / f"home{homes}"), homes + 1
@@ -68,7 +68,7 @@ def test_killed_at_any_moment(tiny, children, intact, tmp_path):
         shutil.rmtree(home)
 
 
-def test_a_killed_run_is_marked_failed(tiny, children, tmp_path):
+def test_killed_run_is_marked_failed(tiny, children, tmp_path):
     home = children.home(tmp_path / "home")
     assert children.night(tiny.landing, home, fault="before_mark:2")[0] == signal.SIGKILL
     assert children.night(tiny.landing, home) == (0, "")
@@ -78,7 +78,7 @@ def test_a_killed_run_is_marked_failed(tiny, children, tmp_path):
     assert set(ended) == {dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.SUCCESS}
 
 
-def test_asked_to_stop(tiny, children, intact, tmp_path):
+def test_stopped_night_loses_nothing(tiny, children, intact, tmp_path):
     home = children.home(tmp_path / "home")
     ended, _ = children.night(tiny.landing, home, fault="before_rename:14:term")
     assert ended != 0
@@ -87,7 +87,7 @@ def test_asked_to_stop(tiny, children, intact, tmp_path):
     assert state(home) == tiny.end
 
 
-def test_readers_never_meet_a_half_published_catalog(tiny, children, tmp_path):
+def test_readers_meet_whole_catalogs_only(tiny, children, tmp_path):
     home = children.home(tmp_path / "home")
     assert children.night(tiny.landing, home, steps=steps_up_to("legs")) == (0, "")
     over, answers = threading.Event(), []

@@ -49,7 +49,7 @@ def third(two, children, tmp_path_factory) -> Path:
     return root
 
 
-def test_publication_that_was_stopped_is_made_good(own, third, children):
+def test_stopped_publication_is_completed(own, third, children):
     """The night is killed when all its tables are stored."""
     home = own / "home"
     assert children.night(own / "landing", home) == (0, "")  # the catalog is of this place now
@@ -59,7 +59,7 @@ def test_publication_that_was_stopped_is_made_good(own, third, children):
     assert (told.returncode, answers(home)) == (1, answers(third / "home"))
 
 
-def test_an_earlier_catalog_does_not_answer(own):
+def test_earlier_catalog_does_not_answer(own):
     shutil.copyfile(own / "earlier" / CATALOG, own / "home" / CATALOG)
     asked = hdt("query", COUNT, "--home", own / "home")
     assert asked.returncode == 2
@@ -67,7 +67,7 @@ def test_an_earlier_catalog_does_not_answer(own):
 
 
 @pytest.mark.parametrize("with_hash", [False, True])
-def test_an_earlier_catalog_is_replaced(own, two, children, with_hash):
+def test_earlier_catalog_is_replaced(own, two, children, with_hash):
     for name in (CATALOG, HASH) if with_hash else (CATALOG,):
         shutil.copyfile(own / "earlier" / name, own / "home" / name)
     told = hdt("doctor", "--home", own / "home")
@@ -75,7 +75,7 @@ def test_an_earlier_catalog_is_replaced(own, two, children, with_hash):
     assert (told.returncode, state(own / "home")) == (1, state(two / "home"))
 
 
-def test_an_idle_night_publishes_nothing(own, children):
+def test_idle_night_publishes_nothing(own, children):
     assert children.night(own / "landing", own / "home") == (0, "")  # the catalog is of this place now
     before = (own / "home" / CATALOG).stat().st_ino
     assert children.night(own / "landing", own / "home") == (0, "")
@@ -83,7 +83,7 @@ def test_an_idle_night_publishes_nothing(own, children):
 
 
 @pytest.mark.parametrize("name", ["features_witnesses", "twin_components"])
-def test_former_names_are_gone(own, name):
+def test_former_tables_are_gone(own, name):
     asked = hdt("query", f"select count(*) from tables.{name}", "--home", own / "home")
     assert f"Table with name {name} does not exist" in asked.stderr
 
@@ -99,7 +99,7 @@ def test_swapped_files_do_not_answer(own, table):
     assert "is not what was written" in asked.stderr
 
 
-def test_a_shard_with_two_files_is_made_again(own, third, children):
+def test_doubled_shard_is_made_again(own, third, children):
     """A bit flips in the log, in the name of the file that a commit removes; size and time stay."""
     home = own / "home"
     commit = max(file for file in home.glob(f"tables/legs_samples/{LOG}/*.json") if '"remove"' in file.read_text())
