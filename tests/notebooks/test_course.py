@@ -20,7 +20,7 @@ LESSONS = {
 
 
 @pytest.mark.parametrize("lesson", LESSONS)
-def test_a_lesson_runs(lesson, sample_home, monkeypatch):
+def test_lesson_runs_over_sample(lesson, sample_home, monkeypatch):
     monkeypatch.setenv("HDT_HOME", str(sample_home))
     spec = importlib.util.spec_from_file_location(f"course_{lesson}", COURSE / f"{lesson}.py")
     module = importlib.util.module_from_spec(spec)
@@ -31,7 +31,7 @@ def test_a_lesson_runs(lesson, sample_home, monkeypatch):
         cells["con"].close()
 
 
-def test_every_lesson_is_run_and_marimo_finds_nothing_to_mend():
+def test_marimo_accepts_lessons():
     files = sorted(COURSE.glob("*.py"))
     assert {f.stem for f in files} == set(LESSONS)
     done = subprocess.run([sys.executable, "-m", "marimo", "check", "--strict", *map(str, files)], capture_output=True,

@@ -63,14 +63,14 @@ def con(sample_home):
 
 
 @pytest.mark.parametrize("tab", ["Tonight", "Wear", "Leads", "Costs", "Seasons"])
-def test_each_tab_has_a_table_or_chart_and_no_error(page, tab):
+def test_tab_shows_table_or_chart(page, tab):
     page.get_by_role("tab", name=tab).click()
     panel = page.get_by_role("tabpanel").filter(visible=True)
     expect(panel.locator("canvas, [data-testid=stVegaLiteChart] svg").first).to_be_visible()
     expect(page.get_by_test_id("stException")).to_have_count(0)
 
 
-def test_figures_on_top_are_the_catalogs_and_follow_the_operators(page, con):
+def test_figures_follow_chosen_operators(page, con):
     def figures_of(where: str) -> tuple[int, int, str]:
         ((plan,),) = con.sql(f"select count(*) from fleet_ranking where urgency = 'plan' and {where}").fetchall()
         ((n_messages, cost),) = con.sql(
@@ -90,7 +90,7 @@ def test_figures_on_top_are_the_catalogs_and_follow_the_operators(page, con):
     assert page_figures() == figures_of("operator = 'BZR'")
 
 
-def test_a_home_without_a_catalog_is_named(tmp_path, monkeypatch):
+def test_missing_catalog_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("HDT_HOME", str(tmp_path))
     app = AppTest.from_file(str(ROOT / "notebooks/dashboard.py")).run()
     assert str(tmp_path / "catalog.duckdb") in app.error[0].value

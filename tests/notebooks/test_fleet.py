@@ -33,7 +33,7 @@ def test_every_cell_runs(notebook, at_home):
     cells["con"].close()
 
 
-def test_tables_and_track_follow_the_pack(notebook, at_home):
+def test_tables_follow_picked_pack(notebook, at_home):
     class Picked:
         value = ("BZR", "A9-BAC", 1)
 
@@ -47,7 +47,7 @@ def test_tables_and_track_follow_the_pack(notebook, at_home):
     cells["con"].close()
 
 
-def test_marimo_finds_nothing_to_mend():
+def test_marimo_accepts_notebook():
     done = subprocess.run([sys.executable, "-m", "marimo", "check", "--strict", str(NOTEBOOK)], capture_output=True,
                           text=True, check=False)  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
