@@ -126,7 +126,7 @@ def spelt(name: str) -> bytes:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_an_operator_gets_its_own_rows_and_no_trace_of_others(given_away, form):
+def test_operator_gets_only_own_rows(given_away, form):
     own_export = given_away("AQX", None, form)
     content = own_export.read_all()
     assert spelt(OTHER[1]) not in content
@@ -138,7 +138,7 @@ def test_an_operator_gets_its_own_rows_and_no_trace_of_others(given_away, form):
 
 
 @pytest.mark.parametrize(("operator", "form"), [(None, "parquet"), (None, "duckdb"), ("AQX", "csv")])
-def test_under_pseudonyms_no_tail_and_no_key_is_told(given_away, home, operator, form):
+def test_pseudonymised_export_identifies_nobody(given_away, home, operator, form):
     content = given_away(operator, KEY, form).read_all()
     assert [t for t in ("LX-AAB", "LX_AAB", "A9-BAC", "A9_BAC", "Q9-ZZZ", KEY.decode()) if spelt(t) in content] == []
     with connect(home) as con:  # an unkeyed hash of a tail, a work order or a serial number leads back as well
@@ -148,7 +148,7 @@ def test_under_pseudonyms_no_tail_and_no_key_is_told(given_away, home, operator,
     assert [s for (s,) in (*secrets, *works) if spelt(s) in words] == []
 
 
-def test_pseudonyms_change_names_and_nothing_else_and_depend_on_the_key_alone(given_away, home):
+def test_pseudonyms_change_only_names(given_away, home):
     plain, masked = given_away(None, None, "parquet"), given_away(None, KEY, "parquet")
     assert plain.rows == masked.rows
     for view in ("health_parameters", "residuals", "features", "fleet_ranking"):
@@ -165,7 +165,7 @@ def test_pseudonyms_change_names_and_nothing_else_and_depend_on_the_key_alone(gi
     assert one == two != access_scope(home, None, KEY[::-1]).pseudonym("LX-AAB")
 
 
-def test_parquet_csv_and_duckdb_say_the_same(given_away):
+def test_formats_export_same_values(given_away):
     frames = [given_away("AQX", None, f).frame("health_parameters") for f in FORMATS]
     keys = ["flight_id", "pack", "parameter"]
     values = [f.sort(*(pl.col(k).cast(pl.String) for k in keys))["value"].cast(pl.Float64) for f in frames]
@@ -173,7 +173,7 @@ def test_parquet_csv_and_duckdb_say_the_same(given_away):
     assert values[0].equals(values[2])
 
 
-def test_no_cell_of_hostile_files_is_a_formula(watched, tmp_path):
+def test_exported_cell_is_no_formula(watched, tmp_path):
     export(watched.home, tmp_path / "out", EVERYTHING, "csv")
     files = (io.StringIO(f.read_bytes().decode(), newline="") for f in (tmp_path / "out").glob("*.csv"))
     cells = [c for f in files for row in csv.reader(f) for c in row]
@@ -182,7 +182,7 @@ def test_no_cell_of_hostile_files_is_a_formula(watched, tmp_path):
 
 
 @given(text=st.text(), number=st.floats(allow_nan=False, allow_infinity=False))
-def test_text_is_made_harmless_and_numbers_stay_numbers(text, number):
+def test_exported_text_is_harmless(text, number):
     frame = pl.DataFrame({"text": [text], "number": [number]})
     written = safe(frame)
     (_, (cell, value)) = csv.reader(io.StringIO(written.write_csv(quote_style="non_numeric"), newline=""))
@@ -194,7 +194,7 @@ def test_text_is_made_harmless_and_numbers_stay_numbers(text, number):
 KILLED = "from benchmarks.fault_points import arm; arm('before_rename:1'); from pipelines.cli import main; main()"
 
 
-def test_an_export_comes_whole_or_not_at_all(home, tmp_path, monkeypatch):
+def test_export_is_whole_or_absent(home, tmp_path, monkeypatch):
     out, words = tmp_path / "out", ["export", "--home", home, "--view", "flights", "--out", tmp_path / "out"]
 
     def kill_export() -> int:
@@ -212,7 +212,7 @@ def test_an_export_comes_whole_or_not_at_all(home, tmp_path, monkeypatch):
     assert [f.name for f in tmp_path.iterdir()] == ["out"], "and so is what killed ones left"
 
 
-def test_nothing_else_is_overwritten(home, tmp_path):
+def test_foreign_files_are_not_overwritten(home, tmp_path):
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "thesis.txt").write_text("x")
@@ -239,7 +239,7 @@ def test_nothing_else_is_overwritten(home, tmp_path):
     ],
     ids=lambda w: " ".join(w) if isinstance(w, tuple) else "",
 )
-def test_what_is_wrong_is_said_in_one_line_without_the_key(home, tmp_path, monkeypatch, words, message):
+def test_wrong_export_takes_one_line(home, tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("HDT_EXPORT_KEY", raising=False)
     Path("short").write_text("canary-key")
@@ -257,7 +257,7 @@ READERS = dict(re.findall(r"^```python\n((?:import (\w+).*\n)(?:.*\n)*?)^```", P
 
 
 @pytest.mark.parametrize("code", READERS, ids=READERS.values())
-def test_the_examples_of_the_page_run(given_away, tmp_path, monkeypatch, code):
+def test_page_examples_run(given_away, tmp_path, monkeypatch, code):
     pytest.importorskip(READERS[code])
     for name, form in (("out", "parquet"), ("csv", "csv"), ("aqx", "duckdb")):
         (tmp_path / name).symlink_to(given_away("AQX", None, form).folder)

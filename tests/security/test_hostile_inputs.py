@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("name", [*FILES, *LINKS, "a pipe"])
-def test_a_hostile_file_is_turned_away_with_a_reason(watched, name):
+def test_hostile_file_is_quarantined(watched, name):
     planted = {n: (path, reason) for n, (path, _, reason) in (FILES | LINKS).items()} | {"a pipe": (PIPE, "not_a_file")}
     path, reason = planted[name]
     printable = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in path)
@@ -29,7 +29,7 @@ def test_a_hostile_file_is_turned_away_with_a_reason(watched, name):
     assert reason in entries["reason"].to_list()
 
 
-def test_the_good_aircraft_among_them_is_taken_in(watched):
+def test_good_aircraft_is_taken_in(watched):
     assert watched.failed == {}
     balance = "select bool_and(delivered = loaded + quarantined + duplicate) from deliveries"
     with connect(watched.home) as con:
@@ -37,7 +37,7 @@ def test_the_good_aircraft_among_them_is_taken_in(watched):
         assert con.execute(balance).fetchone()[0]
 
 
-def test_nothing_was_executed_loaded_or_called_or_written_outside_the_home(watched):
+def test_night_executes_nothing_hostile(watched):
     unpickled = [e for e in watched.events if e[0] == "pickle.find_class" and "polars" not in e[1]]
     # Dagster follows the log of each step, joblib counts the cores
     harmless = ("('tail', ['tail', '-F'", "watch_orphans", "('lscpu', ")
@@ -55,7 +55,7 @@ def test_nothing_was_executed_loaded_or_called_or_written_outside_the_home(watch
     assert [p.name for p in (watched.root / "outside").iterdir()] == ["secret.csv"]
 
 
-def test_the_report_runs_no_markup_and_a_secret_of_the_environment_is_told_to_nobody(watched):
+def test_report_runs_no_markup(watched):
     page = (watched.home / "report.html").read_text()
     assert SCRIPT not in page
     assert "<script>alert" not in page
@@ -73,7 +73,7 @@ def test_the_report_runs_no_markup_and_a_secret_of_the_environment_is_told_to_no
     ],
     ids=repr,
 )  # fmt: skip
-def test_a_name_that_is_no_name_becomes_no_path(aircraft):
+def test_hostile_name_becomes_no_path(aircraft):
     with pytest.raises(ValueError, match="not an operator and tail"):
         shard_of(aircraft)
 
@@ -86,7 +86,7 @@ def test_a_name_that_is_no_name_becomes_no_path(aircraft):
     ],
     ids=" ".join,
 )  # fmt: skip
-def test_a_hostile_argument_is_answered_in_one_line(watched, monkeypatch, arguments):
+def test_hostile_argument_takes_one_line(watched, monkeypatch, arguments):
     monkeypatch.setenv("HDT_HOME", str(watched.home))
     monkeypatch.setenv("HDT_LANDING", str(watched.landing))
     before = listing(watched.home)
@@ -131,14 +131,14 @@ QUESTIONS = (
 
 
 @pytest.mark.parametrize("question", QUESTIONS)
-def test_a_hostile_question_gets_no_answer_and_leaves_nothing(watched, question):
+def test_hostile_question_gets_no_answer(watched, question):
     before = listing(watched.root)
     done = hdt("query", "--home", watched.home, question.format(home=watched.home))
     assert (done.returncode, done.stderr[:5]) == (2, "hdt: ")
     assert listing(watched.root) == before
 
 
-def test_the_catalogs_lock_holds_without_the_commands_own_check_and_an_honest_question_is_answered(watched):
+def test_locked_catalog_refuses_hostile_question(watched):
     """Who has a connection, the report for one, can't reach a file or the network either, nor take the lock off."""
     with connect(watched.home) as con:
         for sql in (*QUESTIONS[:7], *QUESTIONS[14:19], QUESTIONS[20]):
@@ -152,7 +152,7 @@ def test_the_catalogs_lock_holds_without_the_commands_own_check_and_an_honest_qu
             assert con.execute("select current_setting('enable_external_access')").fetchone() == (False,)
 
 
-def test_a_pickle_is_no_model_and_one_that_names_another_type_is_refused(tmp_path, monkeypatch):
+def test_pickle_is_no_model(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(Exception, match="not a zip file"):
         skops.io.loads(pickle.dumps(Bomb()), trusted=TRUSTED_TYPES)
@@ -161,7 +161,7 @@ def test_a_pickle_is_no_model_and_one_that_names_another_type_is_refused(tmp_pat
     assert not (tmp_path / "pwned").exists()
 
 
-def test_no_module_unpickles_and_telemetry_is_off(tmp_path):
+def test_no_module_unpickles(tmp_path):
     wrong = ("pickle.load", "joblib.load", "import pickle", "import joblib", "import dill", "eval(", "os.system(")
     sources = [f for folder in ("hdt_core", "pipelines") for f in (ROOT / folder).rglob("*.py")]
     uses = [(f.name, w) for f in sources for w in wrong if w in f.read_text().replace("literal_eval(", "")]
