@@ -111,8 +111,8 @@ def test_the_suite_takes_what_was_added(tree):
     relevant = (
         "tests/hdt_core/estimation/test_estimators.py",
         "tests/pipelines/test_order.py",
-        "tests/sql/test_sample_fleet.py::test_a_view_is_a_question_with_grain_and_sources",
-        "tests/sql/test_sample_fleet.py::test_every_column_has_a_meaning_in_views_catalog_and_an_up_to_date_dictionary",
+        "tests/sql/test_sample_fleet.py::test_view_header_names_grain_sources",
+        "tests/sql/test_sample_fleet.py::test_every_column_has_meaning",
     )
     done = python(tree, "-m", "pytest", "-vv", "-p", "no:cacheprovider", "-k", "patient or not estimator", *relevant)
     assert done.returncode == 0, done.stdout[-3000:]

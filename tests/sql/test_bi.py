@@ -24,7 +24,7 @@ def opened(sample_home):
         yield con
 
 
-def test_tables_are_the_views_with_type_and_meaning_and_six_to_start_with(opened):
+def test_catalog_lists_views_as_tables(opened):
     assert {name for (name,) in opened.sql("show tables").fetchall()} == set(views())
     listed = opened.sql("select table_schema, table_name from information_schema.tables").fetchall()
     assert {schema for schema, _ in listed} == {"main", "tables"}
@@ -40,7 +40,7 @@ def test_tables_are_the_views_with_type_and_meaning_and_six_to_start_with(opened
     assert {name for _, name in table} <= set(views())
 
 
-def test_every_view_is_read_while_another_process_reads(opened, sample_home):
+def test_views_are_read_beside_another_reader(opened, sample_home):
     (flights,) = opened.sql("select count(*) from flights").fetchall()[0]
     run = [sys.executable, "-c", OTHER, str(sample_home / CATALOG)]
     beside = subprocess.run(run, capture_output=True, text=True, check=True)
@@ -49,7 +49,7 @@ def test_every_view_is_read_while_another_process_reads(opened, sample_home):
         opened.sql(f'select * from "main"."{name}" limit 1').fetchall()
 
 
-def test_attached_elsewhere_it_is_told_where_the_tables_are(sample_home, tmp_path):
+def test_attached_catalog_finds_its_tables(sample_home, tmp_path):
     with duckdb.connect(str(tmp_path / "own.duckdb")) as con:
         con.execute(f"set variable tables_folder = '{sample_home}/tables/'")
         con.execute(f"attach '{sample_home / CATALOG}' as hdt (read_only)")

@@ -5,7 +5,7 @@ from cookbook import PAGE, answer, recipes
 from pipelines.storage.catalog import connect
 
 
-def test_each_query_has_the_answer_that_the_page_gives(sample_home):
+def test_queries_answer_as_published(sample_home):
     page = PAGE.read_text(encoding="utf-8")
     pairs = recipes(page)
     assert len(pairs) == page.count("```sql") == page.count("\n## ") == 16

@@ -7,7 +7,7 @@ from answers import rows
 from small_catalog import OWN, catalog, flight
 
 
-def test_gaps():
+def test_gaps_are_listed_by_kind():
     def leg(day: int, number: int) -> dict:
         row = flight(day)
         at = row["departed_at"] + dt.timedelta(hours=number)
@@ -42,7 +42,7 @@ def leg_of(number: int, hours: float) -> dict:
         ({"raw_quarantine": [{"file": "f", "flight_id": leg_of(2, 2)["flight_id"], "reason": "bad_pack"}]}, []),
     ],
 )
-def test_leg_that_is_held_or_refused_has_arrived(elsewhere, n):
+def test_held_leg_has_arrived(elsewhere, n):
     own = {"scope": "row", "n_rows": 1} | OWN
     tables = {name: [own | row for row in rows] for name, rows in elsewhere.items()}
     con = catalog(raw_flights=[leg_of(1, 0), leg_of(3, 4)], **tables)

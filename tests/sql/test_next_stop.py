@@ -57,7 +57,7 @@ def stop(check: int | None = None, costs: dict | None = None):
 
 
 @pytest.mark.parametrize("skip", [range(0), range(30, 37), range(10, 14)])
-def test_a_week_without_flights_hardly_moves_the_rate(skip):
+def test_week_without_flights_keeps_rate(skip):
     con = catalog(raw_flights=flown(3, 60, skip))
     ((rate, weeks),) = rows(con, "select flights_per_day, n_weeks from flight_rates")
     assert rate == pytest.approx(3.0, abs=0.2)
@@ -65,7 +65,7 @@ def test_a_week_without_flights_hardly_moves_the_rate(skip):
 
 
 @pytest.mark.parametrize(("days", "weeks", "rate"), [(5, 0, None), (8, 1, 3.0), (22, 3, 3.0)])
-def test_a_short_record_gives_what_it_has(days, weeks, rate):
+def test_short_record_gives_partial_rate(days, weeks, rate):
     con = catalog(raw_flights=flown(3, days))
     assert rows(con, "select n_weeks, flights_per_day from flight_rates") == [(weeks, rate)]
 
@@ -85,14 +85,14 @@ def test_least_expected_cost_comes_first():
     assert {choice: row[4] for choice, row in stops.items()} == {"wash": 1, "defer": 2, "replace": 3}
 
 
-def test_unpriced_choices_have_a_chance_alone():
+def test_unpriced_choices_have_only_chances():
     stops = stop(check=10, costs={})
     assert {row[3:] for row in stops.values()} == {(None, None, "no_cost")}
     assert stops["replace"][2] < stops["wash"][2] < stops["defer"][2]
 
 
 @pytest.mark.parametrize(("days", "between"), [(10, (25, 50)), (30, (50, 100)), (50, (100, 200)), (1, (0, 25))])
-def test_the_chance_until_the_check_lies_on_the_prognosis_own_points(days, between):
+def test_chance_follows_prognosis_points(days, between):
     name, flights, chance, cost, _, status = stop(check=days)["defer"]
     low, high = ({0: 0.0} | POINTS)[between[0]], POINTS[between[1]]
     share = (3 * days - between[0]) / (between[1] - between[0])
@@ -102,13 +102,13 @@ def test_the_chance_until_the_check_lies_on_the_prognosis_own_points(days, betwe
     assert cost == pytest.approx(50 + 2000 * chance)
 
 
-def test_no_chance_is_told_beyond_the_horizon_that_counts_without_a_check():
+def test_no_chance_beyond_horizon():
     assert stop(check=101)["defer"] == ("A101", 303.0, None, None, None, "beyond_horizon")
     name, flights, _, _, _, status = stop()["defer"]
     assert (name, flights, status) == (None, 30.0, "no_check_planned")
 
 
-def test_a_unit_is_followed_from_one_place_to_the_next_by_its_serial_number():
+def test_unit_is_followed_by_serial_number():
     off = replaced(20) | {"serial_off": "S1", "serial_on": "S2"}
     on = replaced(40) | {"tail": "T-2", "serial_off": "S9", "serial_on": "S1"}
     health = [fouling(n, 0.01, tail=t) for t in ("T-1", "T-2") for n in range(60)]

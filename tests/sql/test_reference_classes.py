@@ -33,18 +33,18 @@ def classes(columns: str, chance: float = 0.1, low: float = 60.0, **more: list[d
     return rows(con, f"select {columns} from reference_classes where tail = 'T-1'")
 
 
-def test_units_are_counted_as_the_month_began():
+def test_units_are_counted_at_month_begin():
     assert classes("loss, n_units, n_flying, n_messages") == [(LOSS, 4, 2, 2)]
 
 
-def test_flights_to_the_message_are_kaplan_meiers():
+def test_flights_to_message_are_kaplan_meier():
     """Of four that came to it three outlived flight 10, two flight 30; the others are followed for 45 and 40."""
     columns = "flights_to_message_median, flights_to_message_most, chance_50"
     assert classes(columns) == [(30, 30, pytest.approx(0.5))]
 
 
 @pytest.mark.parametrize(("chance", "low", "disagrees"), [(0.05, 60, True), (0.05, 20, False), (0.4, 60, False)])
-def test_it_disagrees_beyond_both_errors(chance, low, disagrees):
+def test_class_disagrees_beyond_both_errors(chance, low, disagrees):
     assert classes("disagrees", chance, low) == [(disagrees,)]
 
 
@@ -52,6 +52,6 @@ def test_operators_without_messages_are_no_reference():
     assert classes("n_units, chance_50", raw_messages=[]) == [(0, None)]
 
 
-def test_a_record_begun_far_beyond_is_none():
+def test_record_begun_worn_is_no_reference():
     worn = [fouling(n, 0.4, tail="T-9") for n in range(LAST)]
     assert classes("n_units", twin_health=[*track("T-1", 60), *worn], prognosis_lives=[life("T-9")]) == [(0,)]

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("name", views())
-def test_a_view_is_a_question_with_grain_and_sources(name):
+def test_view_header_names_grain_sources(name):
     sql = views()[name]
     header = read_header(sql)
     assert header.question.endswith("?") or "? " in header.question
@@ -35,13 +35,13 @@ def test_a_view_is_a_question_with_grain_and_sources(name):
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_a_check_says_what_is_a_fault(name):
+def test_check_header_names_its_fault(name):
     header = [line for line in CHECKS[name].splitlines() if line.startswith("--")]
     assert header[0].endswith(("?", "is missing is NULL.", "twin)")) or "? " in header[0]
     assert any(line.startswith("-- A fault: ") for line in header)
 
 
-def test_every_column_has_a_meaning_in_views_catalog_and_an_up_to_date_dictionary(sample):
+def test_every_column_has_meaning(sample):
     named = [(view, *column) for view, columns in view_columns().items() for column in columns]
     silent = [f"{view}.{name}" for view, name, _, meaning in named if not meaning]
     assert silent == []
@@ -68,7 +68,7 @@ def sample(sample_home: Path) -> Iterator[duckdb.DuckDBPyConnection]:
 
 
 @pytest.mark.parametrize("name", [v for v in views() if v != "quarantine"])  # a list of things refused: no key
-def test_a_view_keeps_its_grain(sample, name):
+def test_view_keeps_its_grain(sample, name):
     key = re.sub(r"\(.*?\)|, of .*", "", read_header(views()[name]).grain).split(", ")
     named = {"flight": "operator, tail, flight_id", "alert": "alert_id"}
     key = ", ".join(named.get(k.strip(), k.strip()) for k in key)
@@ -78,11 +78,11 @@ def test_a_view_keeps_its_grain(sample, name):
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_the_sample_fleet_has_no_fault(sample, name):
+def test_sample_fleet_has_no_fault(sample, name):
     assert rows(sample, CHECKS[name])[:5] == []
 
 
-def test_as_of_is_what_was_known_by_then(sample):
+def test_as_of_knows_nothing_later(sample):
     """The view against the plain question, asked of every seventh day: nothing later, nothing older than the last."""
     as_of = rows(sample, "select on_date, tail, pack, departed_at, hx_fouling from as_of where day(on_date) % 7 = 0")
     assert len(as_of) > 50
@@ -99,7 +99,7 @@ def test_as_of_is_what_was_known_by_then(sample):
 
 
 @pytest.mark.parametrize("view", ["flights", "legs", "features", "health_parameters", "prognoses"])
-def test_the_day_of_departure_is_that_of_the_flights_name_wherever_it_is_read(sample, view):
+def test_departure_day_follows_flight_name(sample, view):
     named = "strptime(regexp_extract(flight_id, '_(\\d{8})_', 1), '%Y%m%d')::date"
     assert rows(sample, f"select count(*) > 0 from {view}") == [(True,)]
     assert rows(sample, f"select count(*) from {view} where departed_on is distinct from {named}") == [(0,)]
@@ -107,7 +107,7 @@ def test_the_day_of_departure_is_that_of_the_flights_name_wherever_it_is_read(sa
     assert elsewhere != [(0,)], "in this time zone the other day shifts"
 
 
-def test_the_yield_counts_every_leg_once_and_every_flight_is_in_one_life(sample):
+def test_yield_counts_every_leg_once(sample):
     named = "strptime(regexp_extract(raised_flight_id, '_(\\d{8})_', 1), '%Y%m%d')::date"
     assert rows(sample, f"select count(*) from alerts where raised_on is distinct from {named}") == [(0,)]
     counted = rows(sample, "select count(*)::int, count_if(admitted)::int from legs")
@@ -209,12 +209,12 @@ def copied(sample) -> Iterator[duckdb.DuckDBPyConnection]:
     con.close()
 
 
-def test_every_check_has_faults_planted():
+def test_every_check_has_planted_faults():
     assert set(FAULTS) == set(CHECKS)
 
 
 @pytest.mark.parametrize(("name", "fault"), [(n, f) for n, faults in FAULTS.items() for f in faults])
-def test_a_planted_fault_is_found(copied, name, fault):
+def test_planted_fault_is_detected(copied, name, fault):
     copied.execute("begin")
     try:
         assert rows(copied, CHECKS[name]) == []

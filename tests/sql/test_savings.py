@@ -39,7 +39,7 @@ def fleet(**more: list[dict]) -> duckdb.DuckDBPyConnection:
     return catalog(**tables | more)
 
 
-def test_leads_run_from_the_first_alert_of_the_spell():
+def test_leads_run_from_first_alert():
     columns = "spell, alert_id, work_action, flights_to_work, days_to_work, flights_to_message, days_to_message"
     hours = 18 / 24  # flights leave at six, work counts from midnight
     assert rows(fleet(), f"select {columns} from removal_leads where component = 'HX' order by spell") == [
@@ -52,7 +52,7 @@ def test_leads_run_from_the_first_alert_of_the_spell():
     assert leads == [(0, "REPLACED")]
 
 
-def test_messages_before_alerts_have_negative_leads_and_work_that_found_nothing_costs():
+def test_savings_follow_outcome_of_work():
     con = fleet(raw_messages=[message(2)])
     query = "select flights_to_message, days_to_message from removal_leads where component = 'HX' and spell = 0"
     assert rows(con, query) == [(None, pytest.approx(-3 + 1 / 24))]
@@ -69,7 +69,7 @@ def test_messages_before_alerts_have_negative_leads_and_work_that_found_nothing_
     assert rows(con, "select * from operator_costs") == []
 
 
-def test_an_operators_costs_are_events_times_prices_or_a_row_of_none_with_our_own_marked():
+def test_operator_costs_are_priced_events():
     columns = """n_flights, n_messages, n_removals, n_washes, n_needless, total_cost, cost_per_1000_flights,
         saving_at_most, expected_message_cost"""
     ((*counts, expected),) = rows(fleet(), f"select {columns} from operator_costs")
@@ -91,7 +91,7 @@ def test_an_operators_costs_are_events_times_prices_or_a_row_of_none_with_our_ow
     assert rows(fleet(features=margins), query) == [(pytest.approx(0.15), 15.0, 3.0)]
 
 
-def test_leads_of_the_sample_are_those_counted_in_python(sample_home):
+def test_sample_leads_equal_python_count(sample_home):
     with duckdb.connect(str(sample_home / CATALOG), read_only=True) as con:
         con.execute("set TimeZone = 'Pacific/Kiritimati'")
         own = "operator, tail, pack, component"

@@ -15,7 +15,7 @@ from hdt_core.records.unit_index import UTC, date_entries, number_units
 from pipelines.storage.view_headers import views
 
 
-def test_lead_is_counted_from_the_first_alert_of_that_unit_and_not_of_the_one_before():
+def test_lead_counts_from_units_first_alert():
     con = catalog(
         raw_flights=[flight(n) for n in range(60)],
         raw_maintenance=[replaced(20)],
@@ -73,17 +73,17 @@ def test_every_alert_has_one_outcome():
     assert outcomes == OUTCOMES
 
 
-def test_false_alarms_are_those_judged_wrong():
+def test_false_alarms_are_wrong_alerts():
     wrong = rows(judged_fleet(), "select alert_id, open_days from false_alarms order by alert_id")
     assert wrong == [("clean", 5.0), ("door", 2.0), ("gone", 5.0)]
 
 
-def test_lead_times_count_only_alerts_with_messages():
+def test_lead_times_need_messages():
     leads = rows(judged_fleet(), "select alert_id, lead_flights from alert_lead_times order by message_time")
     assert leads == [("told", 1)]  # the second message is of the same unit
 
 
-def test_precision_is_published_by_both_measures():
+def test_precision_has_both_measures():
     counts = "n_alerts, n_judged, n_right, n_message, n_open, n_unjudged"
     con = judged_fleet()
     (row,) = rows(con, f"select {counts} from alert_hit_rates where component = 'HX'")
@@ -92,13 +92,13 @@ def test_precision_is_published_by_both_measures():
     assert ends == pytest.approx((4 / 6, *proportion_interval(4, 6), 2 / 6, *proportion_interval(2, 6)), abs=1e-3)
 
 
-def test_a_recovery_without_log_answers():
+def test_unlogged_recovery_answers_alert():
     flown = [fouling(n, 0.2 if n < 50 else 0.01) for n in range(80)]
     con = catalog(twin_health=flown, features_alerts=[ended("a", 40, 65, "recovered")])
     assert rows(con, "select outcome from alert_outcomes") == [("answered",)]
 
 
-def test_a_sensor_in_doubt_explains_a_recovery():
+def test_doubtful_sensor_explains_recovery():
     flown = [fouling(n, 0.2 if n < 50 else 0.01) for n in range(80)]
     alerts = [ended("a", 40, 65, "recovered"), ended("s", 45, 55, "recovered", component="SENSOR")]
     con = catalog(twin_health=flown, features_alerts=alerts)
@@ -111,7 +111,7 @@ def proportion_interval(right: int, n: int) -> tuple[float, float]:
     return interval.low, interval.high
 
 
-def test_lives_and_their_slopes():
+def test_lives_have_their_slopes():
     first = [fouling(n, 0.002 * n) for n in range(40)]
     second = [fouling(40 + n, 0.004 * n) for n in range(40)]
     other = [fouling(n, 0.001 * n, tail="T-2") for n in range(40)]
@@ -125,7 +125,7 @@ def test_lives_and_their_slopes():
 
 
 @pytest.mark.parametrize(("hour", "unit"), [(None, 0), (5, 1), (7, 0)])
-def test_views_give_the_day_of_a_replacement_to_the_unit_that_the_core_gives_it_to(hour, unit):
+def test_views_number_units_as_core(hour, unit):
     """Flight 40 left at six on the day of the log; a day counts from its end, a time from itself."""
     at = None if hour is None else START.replace(hour=hour) + dt.timedelta(days=40)
     log = pl.DataFrame([replaced(40) | {"counts_from": at}], schema_overrides={"pack": pl.Int32, "counts_from": UTC})
@@ -137,7 +137,7 @@ def test_views_give_the_day_of_a_replacement_to_the_unit_that_the_core_gives_it_
     assert number_units(flights, log)["unit"].value_counts().sort("unit").rows() == lives
 
 
-def test_work_is_compared_before_and_after_and_an_empty_catalog_answers():
+def test_work_is_compared_with_before():
     con = catalog(twin_health=[fouling(n, 0.4 if n < 50 else 0.01) for n in range(80)], raw_maintenance=[replaced(52)])
     assert rows(con, "select before_work, after_work, round(moved_by, 9) from before_and_after") == [(0.4, 0.01, -0.39)]
     con = catalog()
@@ -166,14 +166,14 @@ def test_work_is_compared_before_and_after_and_an_empty_catalog_answers():
         (0.05, 0.01, [replaced(50) | {"action": "INSPECTED"}], 1),
     ],
 )
-def test_a_recovery_without_work_in_the_log_is_listed_once(after, sd, log, n):
+def test_unlogged_recovery_is_listed_once(after, sd, log, n):
     flown = [fouling(k, 0.2 if k < 50 else after) | {"sd": sd} for k in range(90)]
     con = catalog(twin_health=flown, raw_maintenance=log)
     expected = [("T-1", 1, "HX", flown[50]["flight_id"], 0.2, after)] * n
     assert rows(con, "select tail, pack, component, flight_id, loss_before, loss from unlogged_work") == expected
 
 
-def test_sensors_are_judged_by_what_was_recorded_and_what_was_left():
+def test_sensor_health_counts_lost_values():
     def sample(k: int, value: float | None, table: str) -> dict:
         rest = {"source": "acms", "phase": "cruise", "nominal": True, "monitored": True, "n_averaged": 1, "file": "f"}
         at = {"time_utc": START + dt.timedelta(minutes=k), "hx_out_k": value}
@@ -187,7 +187,7 @@ def test_sensors_are_judged_by_what_was_recorded_and_what_was_left():
     assert rows(con, "select count(*), min(recorded_share) from sensor_health") == [(16, 0.0)]
 
 
-def test_the_ranking_puts_first_what_cannot_wait():
+def test_ranking_puts_urgent_units_first():
     health = [fouling(1, loss, tail=t) for t, loss in (("T-1", 0.1), ("T-2", 0.3), ("T-3", 0.2), ("T-4", 0.01))]
     prognosis = {
         "component": "HX", "rul_flights": 10.0, "rul_low": 1.0, "rul_high": 20.0, "model_version": "m",
@@ -211,7 +211,7 @@ def credited(*work: dict, **alerts: dict) -> dict[str, tuple]:
     return {n: tuple(r) for n, *r in rows(con, "select alert_id, outcome, work_orders from alert_outcomes")}
 
 
-def test_work_is_credited_to_the_alert_open_or_last_closed_of_its_unit():
+def test_work_is_credited_to_last_alert():
     """Not to one that had closed twelve days before."""
     clean = alert("", 38, 43) | {"closed_reason": "found_clean"}
     credits = credited(inspected(42), old=alert("", 10, 30), open=clean)
@@ -225,7 +225,7 @@ def test_work_is_credited_to_the_alert_open_or_last_closed_of_its_unit():
     assert credited(inspected(30), replaced(33, "CLOGGED"), one=clean)["one"] == ("found", "WO30, WO33")
 
 
-def test_the_published_hit_rate_follows_what_was_found():
+def test_hit_rate_follows_findings():
     closed_alerts = [alert(f"a{n}", 10 * n, 10 * n + 5) | {"closed_reason": "found_clean"} for n in range(1, 5)]
     work = [inspected(10 * n + 4, "FOULED" if n < 4 else "NO_FAULT_FOUND") for n in range(1, 5)]
     con = catalog(raw_maintenance=work, features_alerts=[*closed_alerts, alert("open", 59)])
@@ -238,7 +238,7 @@ def test_the_published_hit_rate_follows_what_was_found():
     assert (low, high) == pytest.approx((0.356, 0.942), abs=1e-3), "Wilson's interval at 90 %"
 
 
-def test_a_prognosis_that_an_inspection_contradicts_says_so_until_the_part_is_renewed():
+def test_renewal_ends_contradiction_of_prognosis():
     prognoses = [flight(n) | {"pack": 1, "component": "HX", "p_event_50": 0.9} for n in range(60)]
     inspected_alert = alert("a", 10, 20) | {"closed_reason": "found_clean"}
     con = catalog(
@@ -270,20 +270,20 @@ def routes_flown(**more: list[dict]) -> list[tuple]:
 ON_ROUTES = [("CCCC", 260.0, 30, 0.0, 25.0), ("HHHH", 290.0, 30, 1.0, 5.0)]
 
 
-def test_loss_and_margin_by_route_and_air():
+def test_routes_show_loss_by_air():
     assert routes_flown(raw_maintenance=[replaced(29)]) == ON_ROUTES
 
 
-def test_a_swap_logged_late_is_no_gain():
+def test_late_logged_swap_is_no_gain():
     assert routes_flown(raw_maintenance=[replaced(35)]) == ON_ROUTES
 
 
-def test_a_swap_without_log_is_no_gain():
+def test_unlogged_swap_is_no_gain():
     assert routes_flown(twin_health=[fouling(n, 0.01 * n if n < 30 else 0.0) for n in range(60)]) == ON_ROUTES
 
 
 @pytest.mark.parametrize("log", [[replaced(58)], []])
-def test_a_comparison_ends_at_other_work(log):
+def test_comparison_ends_at_other_work(log):
     """Flight 56 has another unit, by the log later or not at all."""
     flown = [fouling(n, 0.4 if n < 56 else 0.01) for n in range(80)]
     con = catalog(twin_health=flown, raw_maintenance=[inspected(49), *log])
@@ -297,7 +297,7 @@ def unobserved(n: int, *, tail: str = "T-1") -> dict:
     return fouling(n, 0.15, tail=tail) | {"sd": 0.3, "status": "predicted"}
 
 
-def test_no_information_is_not_a_plan():
+def test_missing_information_is_no_plan():
     """T-1 has shown nothing, T-2 little: what is believed of any unit ranks neither, nor is it dated or priced."""
     legs = [flight(n, tail=t) | {"pack": 1, "admitted": False, "reason": "NO_CRUISE", "n_samples": 9, "n_nominal": 0}
             for n in range(4) for t in ("T-1", "T-2")]  # fmt: skip
@@ -325,7 +325,7 @@ def test_no_information_is_not_a_plan():
     assert rows(con, "select distinct is_observed from health_parameters where tail = 'T-1'") == [(False,)]
 
 
-def test_a_new_unit_is_unknown_and_the_last_known_stands_before_it():
+def test_new_unit_is_unknown():
     health = [fouling(n, 0.2) for n in range(3)] + [unobserved(n) for n in range(3, 6)]
     con = catalog(twin_health=health, raw_maintenance=[replaced(2)], prognoses=[flight(5) | PROGNOSIS])
     assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [("unknown", None)]
@@ -337,7 +337,7 @@ def test_a_new_unit_is_unknown_and_the_last_known_stands_before_it():
     assert ranking == [("T-9", "none"), ("T-1", "unknown")]
 
 
-def test_what_was_washed_or_replaced_since_the_last_flight_counts_at_once():
+def test_work_after_last_flight_counts():
     tails = ("T-1", "T-2", "T-3")
     washed = replaced(5) | {"action": "CLEANED", "tail": "T-1"}
     tables = {
@@ -374,7 +374,7 @@ def flown_with(*messages: int, n: int = 80, **tables: list[dict]) -> duckdb.Duck
     ],
     ids=["on two flights", "on one", "lapsed", "on two long ago", "none"],
 )
-def test_message_on_record_makes_a_pack_urgent(messages, urgency, shown):
+def test_message_makes_pack_urgent(messages, urgency, shown):
     con = flown_with(*messages)
 
     ranked = rows(con, "select urgency, message_at is not null from fleet_ranking")
@@ -383,19 +383,19 @@ def test_message_on_record_makes_a_pack_urgent(messages, urgency, shown):
 
 
 @pytest.mark.parametrize("work", [replaced(79), replaced(79, "NO_FAULT_FOUND") | {"action": "INSPECTED"}])
-def test_work_answers_a_message(work):
+def test_work_answers_message(work):
     con = flown_with(77, 78, raw_maintenance=[work])
 
     assert rows(con, "select message_at from fleet_ranking") == [(None,)]
 
 
-def test_single_message_with_an_alert_is_urgent():
+def test_single_message_with_alert_is_urgent():
     con = flown_with(79, features_alerts=[alert("open", 60)])
 
     assert rows(con, "select is_supported, is_pressing from open_messages") == [(True, True)]
 
 
-def test_pack_off_since_first_flight_of_row():
+def test_pack_is_off_since_first_flight():
     off = [
         flight(k) | {"pack": 1, "source": "acms", "reason": "PACK_OFF" if k in (3, 7, 8, 9) else ""} for k in range(10)
     ]
@@ -405,7 +405,7 @@ def test_pack_off_since_first_flight_of_row():
 
 
 @pytest.mark.parametrize(("observed", "urgency"), [(1, "unknown"), (5, "none")])
-def test_unit_hardly_surer_than_prior_is_unknown(observed, urgency):
+def test_barely_observed_unit_is_unknown(observed, urgency):
     flown = [fouling(k, 0.04) | {"sd": 0.036, "status": "ok" if k < observed else "predicted"} for k in range(20)]
     components = [c | {"prior_sd": 0.066} for c in component_rows()]
 
@@ -415,7 +415,7 @@ def test_unit_hardly_surer_than_prior_is_unknown(observed, urgency):
 
 
 @pytest.mark.parametrize(("every", "urgency"), [(3, "unknown"), (2, "none")])
-def test_handful_of_rows_on_some_flights_makes_no_unit_known(every, urgency):
+def test_sparse_rows_leave_unit_unknown(every, urgency):
     status = {True: "few_samples", False: "predicted"}
     flown = [fouling(k, 0.04) | {"sd": 0.036, "status": status[k % every == 0]} for k in range(30)]
     components = [c | {"prior_sd": 0.066} for c in component_rows()]
@@ -425,7 +425,7 @@ def test_handful_of_rows_on_some_flights_makes_no_unit_known(every, urgency):
     assert rows(con, "select urgency from fleet_ranking") == [(urgency,)]
 
 
-def test_line_of_log_that_was_not_seen_is_noted():
+def test_unconfirmed_log_line_is_noted():
     line = replaced(40) | {"position": 1, "flown_from": START, "known_from": START, "verdict": "not_seen"}
     con = catalog(raw_maintenance=[replaced(40)], features_work=[line | {"in_force": False, "is_shown": False}])
 

@@ -27,7 +27,7 @@ def training_set(sample_home) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("cut", [dt.date(2024, 5, 3), dt.date(2024, 6, 4)])
-def test_features_are_those_of_a_history_that_ends_that_day(sample_home, training_set, cut):
+def test_features_know_no_later_day(sample_home, training_set, cut):
     """The leak test: without the flights, messages and work of later days every earlier row is the same."""
     store, record = Store(sample_home), read_record(sample_home)
     on = {"snapshots": DAY, "maintenance": pl.col("done_on"), "messages": pl.col("message_time").dt.date()}
@@ -45,14 +45,14 @@ def test_features_are_those_of_a_history_that_ends_that_day(sample_home, trainin
         assert far <= 1e-9 if far is not None else now[name].equals(then[name].cast(now[name].dtype)), name
 
 
-def test_no_flight_of_the_calibration_follows_a_row_that_stands_as_stated(sample_home, training_set):
+def test_calibration_precedes_rows_as_stated(sample_home, training_set):
     with connect(sample_home) as con:
         until = con.sql("select max(until_at) from tables.calibration_window").pl().item()
     assert training_set.filter("as_stated")["departed_at"].min() >= until
     assert training_set.filter(~pl.col("as_stated"))["departed_at"].max() < until
 
 
-def test_labels_are_lives_counted_down_of_the_unit_that_flew(training_set):
+def test_labels_count_lives_down(training_set):
     labelled = training_set.filter(pl.col("label_hx_flights").is_not_null())
     own = labelled.sort(*KEY[:2], "pack", "departed_at", "flight_id")
     steps = own.select(pl.col("label_hx_flights").diff().over("split_unit")).to_series().drop_nulls()
@@ -82,7 +82,7 @@ def prognosis(n: int, low: float, middle: float, high: float) -> dict:
     return flight(n) | fields | {"rul_low": low, "rul_flights": middle, "rul_high": high}
 
 
-def test_an_interval_held_where_the_end_came_within_it():
+def test_interval_holds_end_within_it():
     """Flight 5 is 15 flights before the message, flight 25 is 35 before the last flight on record."""
     rows = [prognosis(n, 1, 5, 10) for n in range(60)]
     rows[5], rows[10], rows[25], rows[26] = (

@@ -44,24 +44,24 @@ LOW, HIGH = [0.1] * 20, [0.6] * 20
         ([*LOW, 0.45], "plan"),
     ],
 )
-def test_urgency_has_a_memory(chances, expected):
+def test_urgency_has_memory(chances, expected):
     assert urgency(chances)[0][0] == expected
 
 
-def test_it_begins_where_the_chance_passed_a_half():
+def test_urgency_begins_at_one_half():
     assert urgency([*LOW, *HIGH, 0.45])[0][1] == flight(20)["departed_at"]
 
 
 @pytest.mark.parametrize(("versions", "by"), [(["m"] * 40, "flights"), (["m"] * 20 + ["n"] * 20, "fleet")])
-def test_what_changed_it_is_named(versions, by):
+def test_urgency_names_its_cause(versions, by):
     assert urgency([*LOW, *HIGH], model=versions)[0][2] == by
 
 
 @pytest.mark.parametrize("work", [replaced(30), replaced(30, "NO_FAULT_FOUND") | {"action": "INSPECTED"}])
-def test_work_ends_it(work):
+def test_work_ends_urgency(work):
     assert urgency([*LOW, *[0.6] * 5, *[0.45] * 20], [work])[0][0] == "plan"
 
 
-def test_an_old_state_without_confirmation_lapses():
+def test_unconfirmed_urgency_lapses():
     assert urgency([*HIGH, *[0.45] * 120])[0][0] == "plan"
     assert dt.timedelta(90) < flight(139)["departed_at"] - flight(19)["departed_at"]
