@@ -9,7 +9,7 @@ from hdt_core.physics.heat_exchanger import HEAT_EXCHANGER, capacity_rates
 AT = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k": 250.0}
 
 
-def test_the_steady_state_is_the_cross_flow_exchangers_and_the_exact_step_the_limit():
+def test_steady_state_is_cross_flow():
     hold = AT | {"ram_flow_kg_s": np.full(300, 1.6)}
     end = {name: values[-1] for name, values in CORE_EXCHANGER.simulate({"hx_fouling": 0.1}, hold, 1.0).items()}
     steady = HEAT_EXCHANGER.predict({"hx_fouling": 0.1}, AT)
@@ -22,7 +22,7 @@ def test_the_steady_state_is_the_cross_flow_exchangers_and_the_exact_step_the_li
 
 
 @pytest.mark.parametrize("core_k", [250.0, 310.0, 390.0])
-def test_heat_the_streams_do_not_carry_is_in_the_core(core_k):
+def test_core_stores_remaining_heat(core_k):
     out = CORE_EXCHANGER.predict({}, AT, {"core_k": core_k})
     hot_w_k, ratio = capacity_rates(0.9, 1.6, 390.0, HEAT_EXCHANGER.predict({}, AT)["hot_out_k"], 250.0)
     left_w = hot_w_k * (390.0 - out["hot_out_k"]) - hot_w_k / ratio * (out["ram_out_k"] - 250.0)
@@ -36,7 +36,7 @@ def test_aluminium_settles_in_seconds(metal_kg, low_s, high_s):
     assert low_s < core(**values, **AT).settling_s < high_s
 
 
-def test_a_door_step_shows_late():
+def test_door_step_shows_late():
     """The first second shows less than half of what a step of ram flow ends in."""
     flow = np.r_[np.full(200, 1.6), np.full(200, 2.0)]
     hot = CORE_EXCHANGER.simulate({}, AT | {"ram_flow_kg_s": flow}, 1.0)["hot_out_k"]
@@ -46,7 +46,7 @@ def test_a_door_step_shows_late():
     assert np.all(np.diff(share) >= -1e-12)
 
 
-def test_a_core_lies_between_its_films_and_moves_each_stream_by_the_films_own_units():
+def test_core_lies_between_films():
     """Films in series with a wall of a tenth: each has 0.45 of the resistance, at 0.9 and 1.6 kg/s."""
     at = AT | {"hot_flow_kg_s": 0.7, "ram_flow_kg_s": 2.0}
     fouled = CORE_EXCHANGER.nominal | {"hx_fouling": 0.2}

@@ -51,7 +51,7 @@ def test_no_fault_changes_nothing(page, rows, fault):
 
 
 @pytest.mark.parametrize("fault", [Fouling(0.3), DoorLimit(0.2), SensorFault("hx_out_degc", "step", 5.0)], ids=str)
-def test_other_pack_earlier_flights_and_other_columns_stay(page, rows, fault):
+def test_fault_spares_other_rows(page, rows, fault):
     injected = inject(rows, fault, pack=PACK, first_flight=page["first"])
     assert_frame_equal(injected.rows.drop(TOUCHED), rows.drop(TOUCHED))
     sound = injected.truth.filter(pl.col("since").is_null())["flight_id"].implode()
@@ -60,7 +60,7 @@ def test_other_pack_earlier_flights_and_other_columns_stay(page, rows, fault):
     assert not injected.rows.filter(~spared).equals(rows.filter(~spared))
 
 
-def test_the_controller_opens_the_door_before_the_outlet_warms(page, rows):
+def test_door_opens_before_outlet_warms(page, rows):
     injected = inject(rows, Fouling(0.15), pack=PACK, first_flight=page["first"])
     before = rows.select(*KEY, "ram_door_pct", "hx_out_degc")
     both = cruise(injected.rows, injected.truth).join(before, on=KEY, suffix="_before")
@@ -76,7 +76,7 @@ def test_the_controller_opens_the_door_before_the_outlet_warms(page, rows):
     assert warmer.filter(~modulating).max() > 0.5
 
 
-def test_heat_that_the_hot_side_keeps_the_ram_air_lacks(page, rows):
+def test_ram_air_lacks_retained_heat(page, rows):
     fault = Fouling(0.3, masked=False)
     injected = inject(rows, fault, pack=PACK, first_flight=page["first"], **page["ours"])
     before = rows.select(*KEY, "hx_out_degc", "ram_out_degc")
@@ -101,7 +101,7 @@ def test_heat_that_the_hot_side_keeps_the_ram_air_lacks(page, rows):
     np.testing.assert_allclose(lacks[clear], hot_w[clear], rtol=3e-3, atol=1e-3)
 
 
-def test_the_twin_recovers_the_injected_loss_and_a_short_door_is_none(page):
+def test_twin_recovers_injected_loss(page):
     """Flight by flight, within half a point by the fleet's own map, within three on average by one it does not know."""
     for (_, of), loss in page["losses"].items():
         off = loss["estimate"] - loss["hx_fouling"]
@@ -115,7 +115,7 @@ def test_the_twin_recovers_the_injected_loss_and_a_short_door_is_none(page):
     assert (loss["hx_out_k_after"] - loss["hx_out_k"]).mean() > 2.0
 
 
-def test_the_health_track_rises_by_it(page):
+def test_health_track_rises_by_loss(page):
     """Filtered along the pack like any wear: within three of its standard deviations, and six points, in the end.
 
     The log is kept: it has spoken of an inspection. In one that says nothing at all a new core may be missing.
@@ -137,7 +137,7 @@ def test_the_health_track_rises_by_it(page):
 
 
 @pytest.mark.parametrize(("kind", "late"), [("step", 3.0), ("drift", 6.0)])
-def test_sensor_faults_have_the_size_they_are_given(page, rows, kind, late):
+def test_sensor_fault_has_declared_size(page, rows, kind, late):
     injected = inject(rows, SensorFault("tat_degc", kind, 3.0), pack=PACK, first_flight=page["first"])
     shifts = injected.rows.with_columns(error=injected.rows["tat_degc"] - rows["tat_degc"])
     error = shifts.join(injected.truth, on=["flight_id", "pack"]).drop_nulls(["since", "error"])
@@ -146,7 +146,7 @@ def test_sensor_faults_have_the_size_they_are_given(page, rows, kind, late):
     assert injected.truth["sensor_fault"].unique().sort().to_list() == ["", "tat_degc"]
 
 
-def test_a_stuck_sensor_repeats_itself_a_dropout_leaves_gaps_and_what_cannot_be_is_said(page, rows):
+def test_stuck_sensor_repeats_itself(page, rows):
     stuck = inject(rows, SensorFault("hx_out_degc", "stuck"), pack=PACK, first_flight=page["first"])
     late = stuck.rows.join(stuck.truth.drop_nulls("since"), on=["flight_id", "pack"])
     assert late["hx_out_degc"].n_unique() == 1

@@ -48,7 +48,7 @@ def both(seed=3, with_holes=False):
 
 
 @pytest.mark.parametrize("with_holes", [False, True])
-def test_compiled_functions_equal_the_declared_model(with_holes):
+def test_compiled_functions_equal_declared_model(with_holes):
     compiled, declared = both(with_holes=with_holes)
     np.testing.assert_allclose(compiled.simulate(THETAS), declared.simulate(THETAS), atol=1e-13)
     np.testing.assert_allclose(compiled.chi2(THETAS), declared.chi2(THETAS), rtol=1e-11)
@@ -61,7 +61,7 @@ def test_compiled_functions_equal_the_declared_model(with_holes):
     [NonlinearLeastSquares(), ExtendedKalman(), UnscentedKalman(), ExtendedKalman(smoother_passes=0)],
     ids=["nls", "ekf", "ukf", "ekf without smoother"],
 )
-def test_compiled_estimators_equal_the_declared_path(estimator, with_holes):
+def test_compiled_estimators_equal_declared_path(estimator, with_holes):
     fast, slow = (estimator.estimate(problem) for problem in both(with_holes=with_holes))
     np.testing.assert_allclose(fast.belief.mean, slow.belief.mean, atol=1e-6 * fast.belief.sd.min() * 10)
     np.testing.assert_allclose(fast.belief.cov, slow.belief.cov, rtol=1e-6)
@@ -84,7 +84,7 @@ def errors(estimator):
 @pytest.mark.parametrize(
     "estimator", [NonlinearLeastSquares(), ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name
 )
-def test_error_is_that_of_the_cramer_rao_bound(estimator):
+def test_errors_reach_cramer_rao_bound(estimator):
     to_bound, own = errors(estimator)
     # over 300 records an efficient estimator's ratio scatters by 4 %, its coverage by 1.7 %; 1,000 are in the benchmark
     assert (np.sqrt((to_bound**2).mean(axis=0)) < 1.05 + 0.05).all()
@@ -93,7 +93,7 @@ def test_error_is_that_of_the_cramer_rao_bound(estimator):
     assert (np.abs(to_bound.mean(axis=0)) < 4.0 / np.sqrt(len(to_bound))).all()
 
 
-def test_bound_is_the_published_one_and_the_position_error_of_least_squares_follows():
+def test_bound_is_as_published():
     # derived once by hand: sd of damping 0.0121 and of stiffness 0.0171, nearly uncorrelated
     bound = fisher(oscillator_problem(0), TRUTH)
     np.testing.assert_allclose(bound.bound_sd, [0.0121, 0.0171], rtol=5e-3)
@@ -107,7 +107,7 @@ def test_bound_is_the_published_one_and_the_position_error_of_least_squares_foll
     assert np.median(mse) < 5e-6
 
 
-def test_methods_that_minimise_the_same_thing_find_the_same_minimum():
+def test_minimisers_reach_same_minimum():
     problem = oscillator_problem(7)
     best = NonlinearLeastSquares().estimate(problem).belief
     for estimator in (ParticleSwarm(), ParticleSwarm(polish=False), GradientDescent()):
@@ -119,14 +119,14 @@ FORCE_N = np.sin(2.0 * np.pi * 0.5 * TIME_S)
 
 
 @pytest.mark.parametrize("params", [(0.5, 2.0, 1.0), (0.0, 5.0, 2.0), (3.0, 0.5, 0.7)])
-def test_filter_is_the_euler_loop(params):
+def test_filter_is_euler_loop(params):
     damping, stiffness, mass = params
     values = {"damping_n_s_m": damping, "stiffness_n_m": stiffness, "mass_kg": mass}
     loop = SPRING_MASS_DAMPER.simulate(values, {"force_n": FORCE_N}, 0.01)["measured_m"]
     np.testing.assert_allclose(euler_position_m(FORCE_N, 0.01, *params), loop, atol=1e-11)
 
 
-def test_euler_tends_to_the_closed_solution():
+def test_euler_tends_to_closed_solution():
     """Constant force from rest, underdamped: x = F/k [1 - e^(-a t)(cos w t + a/w sin w t)]."""
     a = 0.25
     w = np.sqrt(2.0 - a**2)
@@ -136,7 +136,7 @@ def test_euler_tends_to_the_closed_solution():
     assert errors[1] < 2e-3
 
 
-def test_ranges_and_signal_are_those_on_paper_and_the_equation_keeps_energy():
+def test_ranges_are_as_on_paper():
     assert {p.name: (p.nominal, *p.bounds) for p in SPRING_MASS_DAMPER.params} == {
         "mass_kg": (1.0, 0.1, 10.0), "damping_n_s_m": (0.5, 0.0, 10.0), "stiffness_n_m": (2.0, 0.0, 50.0),
     }  # fmt: skip
@@ -150,13 +150,13 @@ def test_ranges_and_signal_are_those_on_paper_and_the_equation_keeps_energy():
     assert np.sqrt(np.mean(euler_position_m(FORCE_N, 0.01, 0.5, 2.0) ** 2)) == pytest.approx(0.127, abs=0.001)
 
 
-def test_contestants_of_the_benchmark_give_the_same_answers():
+def test_contestants_give_same_answers():
     claims = installed(rounds=1, records=1)
     assert [max(c.apart.values()) < 1e-5 for c in claims] == [True] * 3
     assert all(len(c.seconds) > 1 and min(c.seconds.values()) > 0 for c in claims)
 
 
-def test_the_benchmark_prints_json(monkeypatch):
+def test_benchmark_prints_json(monkeypatch):
     load_extensions()
     monkeypatch.setattr("hdt_benchmark.peers.installed", lambda rounds: installed(rounds, 1))
     with out.capture() as printed:

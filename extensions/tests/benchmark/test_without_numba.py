@@ -39,7 +39,7 @@ def without(request):
     return json.loads(process.stdout)
 
 
-def test_nothing_is_compiled_and_answers_are_those_of_the_compiled_path(without):
+def test_plain_python_gives_compiled_answers(without):
     assert not without["compiled"]
     assert not without["kernels"]
     for name, value in answers().items():

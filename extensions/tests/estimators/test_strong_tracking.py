@@ -28,7 +28,7 @@ def gain_record(seed, before=1.0, after=1.6):
     )
 
 
-def test_a_jump_is_followed_where_the_plain_filter_lags_and_else_it_is_that_filter():
+def test_jump_is_followed_without_lag():
     problem = gain_record(0)
     tracked = StrongTracking().estimate(problem)
     plain = ExtendedKalman(smoother_passes=0).estimate(problem)
@@ -42,7 +42,7 @@ def test_a_jump_is_followed_where_the_plain_filter_lags_and_else_it_is_that_filt
     np.testing.assert_allclose(tracked.belief.cov, plain.belief.cov, rtol=1e-6)
 
 
-def test_classification_tells_the_jump_and_its_time_by_a_path():
+def test_classification_dates_jump():
     problem = gain_record(2)
     nominal = Belief(np.array([1.0]), np.array([[0.02**2]]))
     first = classify(problem.names, StrongTracking().estimate(problem), nominal).first()["gain"]
@@ -56,7 +56,7 @@ def test_classification_tells_the_jump_and_its_time_by_a_path():
         classify(problem.names, NonlinearLeastSquares().estimate(problem), problem.prior)
 
 
-def test_recursive_least_squares_is_the_weighted_sum_of_the_textbook():
+def test_recursive_least_squares_equal_weighted_sum():
     problem = gain_record(4, after=1.0)
     forgetting = 0.97
     u = np.ravel(problem.simulate(np.array([1.0])))
@@ -73,7 +73,7 @@ def test_recursive_least_squares_is_the_weighted_sum_of_the_textbook():
 
 
 @pytest.mark.parametrize("estimator", [RecursiveLeastSquares(forgetting=0.97), StrongTracking()], ids=lambda e: e.name)
-def test_intervals_hold_what_they_promise(estimator):
+def test_intervals_cover_as_promised(estimator):
     inside = []
     for seed in range(120):
         whole = gain_record(100 + seed, after=1.0)
@@ -82,7 +82,7 @@ def test_intervals_hold_what_they_promise(estimator):
     assert np.mean(inside) == pytest.approx(0.9, abs=0.07)  # 120 records: two and a half times 0.027
 
 
-def test_the_sensor_that_breaks_the_tie_is_ranked_first():
+def test_tie_breaking_sensor_ranks_first():
     problem = compressor()
     at = np.array([AREA_M2, DIAMETER_M, BETA_RAD])
     candidates = [
@@ -97,7 +97,7 @@ def test_the_sensor_that_breaks_the_tie_is_ranked_first():
     assert gains[1].sd[0] / AREA_M2 > 0.1
 
 
-def test_a_sensor_brings_half_the_growth_of_the_log_determinant():
+def test_sensor_gain_follows_log_determinant():
     """Without data or prior a parameter is known to its bounds' width, a held one exactly."""
     bounds = np.array([[0.0, 4.0], [-1.0, 9.0], [2.0, 2.0]])
     blank = Problem(("a", "b", "c"), bounds, Belief(np.zeros(3), np.diag([np.inf, 4.0, 0.5])), np.full((3, 1), np.nan),

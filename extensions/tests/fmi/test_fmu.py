@@ -43,7 +43,7 @@ def rate_k_s(flow, hot_k, air_k, ua, heat, oil_k):
     return (flow * (hot_k - oil_k) - ua * (oil_k - air_k)) / heat
 
 
-def test_rates_outputs_and_states_are_those_of_its_source(tank):
+def test_rates_equal_those_of_source(tank):
     rng = np.random.default_rng(0)
     flow = rng.uniform(100, 400, (3, 1))
     hot = rng.uniform(310, 350, (1, 4))
@@ -59,7 +59,7 @@ def test_rates_outputs_and_states_are_those_of_its_source(tank):
     assert (state.name, state.unit, state.initial) == ("oil_T", "K", 300.0)
 
 
-def test_it_relaxes_as_the_closed_form_does(tank):
+def test_tank_relaxes_as_closed_form(tank):
     """From 300 K to the mean of both streams weighted by their conductances, with time constant heat / (flow + UA)."""
     n = 200
     dt_s = 2.0
@@ -81,7 +81,7 @@ def record(tank, loss, n=120):
 @pytest.mark.parametrize(
     "estimator", [NonlinearLeastSquares(), ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name
 )
-def test_estimators_recover_its_loss(tank, estimator):
+def test_estimators_recover_tank_loss(tank, estimator):
     inputs, measured = record(tank, 0.35)
     problem = declared_problem(tank, ["hc_fouling"], inputs, measured, prior=unknown(np.array([0.0])), dt_s=5.0)
     estimate = estimator.estimate(problem)
@@ -90,13 +90,13 @@ def test_estimators_recover_its_loss(tank, estimator):
     assert estimate.belief.sd[0] < 0.02
 
 
-def test_a_point_that_it_rejects_is_missing_and_the_next_is_not(tank):
+def test_only_rejected_point_is_missing(tank):
     at = {"oil_flow_w_k": np.array([250.0, -1.0, np.nan, 250.0]), "oil_in_k": 330.0, "air_in_k": 295.0}
     return_k = tank.predict({}, at)["return_k"]
     np.testing.assert_array_equal(np.isnan(return_k), [False, True, True, False])
 
 
-def test_names_kinds_and_units_are_checked_and_a_run_over_time_takes_no_inputs(fmu):
+def test_wrong_declaration_is_refused(fmu):
     with pytest.raises(ValueError, match=r"oil_flow_w_k is no input; it has air_in_k, inlet\.T, inlet\.flow"):
         fmu_model(fmu, inputs=INPUTS, outputs=OUTPUTS, params=(UA,))
     with pytest.raises(ValueError, match="return_k is in K, declared in degC"):
@@ -107,7 +107,7 @@ def test_names_kinds_and_units_are_checked_and_a_run_over_time_takes_no_inputs(f
         fmu_over_time(fmu, outputs=OUTPUTS, params=(UA,), variables=NAMES)
 
 
-def test_other_kinds_of_file_are_named(tmp_path, description, fmu):
+def test_other_file_kinds_are_named(tmp_path, description, fmu):
     declaration = {"inputs": INPUTS, "outputs": OUTPUTS, "params": (UA, HEAT), "variables": NAMES}
     with pytest.raises(ValueError, match="no FMU"):
         fmu_model(SOURCE / "oil_tank.c", **declaration)
@@ -118,13 +118,13 @@ def test_other_kinds_of_file_are_named(tmp_path, description, fmu):
         fmu_model(pack_fmu(tmp_path, "oil_tank", hidden), **declaration)
 
 
-def test_without_the_extra_it_says_what_to_install(monkeypatch):
+def test_missing_fmpy_names_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy.fmi2", None)
     with pytest.raises(ImportError, match=r"pip install 'hybrid-digital-twin-extensions\[fmi\]'"):
         fmu_model("any.fmu", inputs=INPUTS, outputs=OUTPUTS, params=(UA,))
 
 
-def test_the_how_to_runs(fmu, monkeypatch):
+def test_how_to_runs(fmu, monkeypatch):
     monkeypatch.chdir(fmu.parent)
     assert walk("howto-component.md", "Physics from an FMU")["estimate"].status == "converged"
 
@@ -175,7 +175,7 @@ def loaded(folder: Path, name: str):
 
 
 @pytest.mark.parametrize("name", CONTINUOUS)
-def test_without_inputs_it_simulates_as_fmpy_does(tmp_path, name):
+def test_free_run_equals_fmpy(tmp_path, name):
     path, model = loaded(tmp_path, name)
     ours = model.simulate({}, {}, 0.01, n_samples=1001)
     theirs = theirs_of(path, 10.0, 0.01)
@@ -183,7 +183,7 @@ def test_without_inputs_it_simulates_as_fmpy_does(tmp_path, name):
         np.testing.assert_allclose(ours[output.name], theirs[output.name][:1001], atol=2e-5)
 
 
-def test_its_parameter_is_estimated(tmp_path):
+def test_free_parameter_is_estimated(tmp_path):
     _, model = loaded(tmp_path, "van_der_pol")
     outputs = {k: v[:120] for k, v in model.simulate({"mu": 1.5}, {}, 0.05, n_samples=120).items()}
     rng = np.random.default_rng(0)
@@ -234,7 +234,7 @@ def bounced(time_s: np.ndarray, g: float, e: float) -> np.ndarray:
         lasting_s = 2.0 * speed / g
 
 
-def test_a_ball_bounces_as_in_closed_form_and_as_fmpy_has_it(ball_fmu, ball):
+def test_ball_bounces_as_closed_form(ball_fmu, ball):
     time_s = 0.01 * np.arange(401)
     ours = ball.predict({}, {"time_s": time_s})
     np.testing.assert_allclose(ours["h"], bounced(time_s, 9.81, 0.7), atol=1e-6)
@@ -244,7 +244,7 @@ def test_a_ball_bounces_as_in_closed_form_and_as_fmpy_has_it(ball_fmu, ball):
     assert ours["h"][-1] == pytest.approx(0.0, abs=1e-9)  # lies still: a memory that is none of its states
 
 
-def test_stairs_climb_by_the_clock_and_end(stairs_fmu):
+def test_stairs_climb_by_clock(stairs_fmu):
     stairs = fmu_over_time(stairs_fmu, outputs=(Signal("count", "-"),), params=())
     time_s = 0.25 * np.arange(45)
     ours = stairs.predict({}, {"time_s": time_s})["count"]
@@ -254,7 +254,7 @@ def test_stairs_climb_by_the_clock_and_end(stairs_fmu):
 
 
 @pytest.mark.parametrize("name", CONTINUOUS)
-def test_a_run_over_time_is_that_of_its_states(tmp_path, name):
+def test_run_over_time_equals_states(tmp_path, name):
     path, model = loaded(tmp_path, name)
     over_time = fmu_over_time(path, outputs=model.outputs, params=model.params)
     constant = model.params[0].name
@@ -264,7 +264,7 @@ def test_a_run_over_time_is_that_of_its_states(tmp_path, name):
         np.testing.assert_allclose(ours[output.name], expected[output.name], atol=2e-5)
 
 
-def test_instants_come_in_any_order_and_parameters_broadcast(ball):
+def test_instants_come_in_any_order(ball):
     time_s = np.array([1.3, 0.2, np.nan, -1.0, 0.2])
     e = np.array([[0.7], [0.5]])
     heights = ball.predict({"e": e}, {"time_s": time_s})["h"]
@@ -272,7 +272,7 @@ def test_instants_come_in_any_order_and_parameters_broadcast(ball):
     np.testing.assert_allclose(heights, expected, atol=1e-6)
 
 
-def test_gravity_and_bounce_are_estimated_from_a_record(ball):
+def test_ball_parameters_are_estimated(ball):
     time_s = 0.02 * np.arange(150)
     rng = np.random.default_rng(0)
     measured = {"h": bounced(time_s, 9.5, 0.65) + 0.01 * rng.standard_normal(150)}
@@ -283,7 +283,7 @@ def test_gravity_and_bounce_are_estimated_from_a_record(ball):
     assert estimate.belief.sd[1] < 0.005
 
 
-def test_a_model_with_events_is_no_component_of_states(ball_fmu, stairs_fmu):
+def test_events_need_run_over_time(ball_fmu, stairs_fmu):
     with pytest.raises(ValueError, match="1 event indicators; declare a model with events by fmu_over_time"):
         fmu_model(ball_fmu, inputs=(), outputs=(Signal("h", "-"),), params=())
     with pytest.raises(ValueError, match="event at 1 s; declare a model with events by fmu_over_time"):

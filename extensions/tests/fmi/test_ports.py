@@ -30,7 +30,7 @@ def one_after_another(params):
 
 
 @pytest.mark.parametrize("worn", ["hx_fouling", "ram_flow_loss", "cc_efficiency_loss", "cc_diameter_loss"])
-def test_pack_equals_its_parts_in_order(worn):
+def test_pack_equals_parts_in_order(worn):
     together = PACK.predict({worn: 0.2}, FLIGHT)
     apart = one_after_another({worn: 0.2})
     assert together.keys() == apart.keys()
@@ -38,7 +38,7 @@ def test_pack_equals_its_parts_in_order(worn):
         np.testing.assert_allclose(together[name], apart[name], rtol=1e-14)
 
 
-def test_wear_upstream_reaches_the_exchanger():
+def test_wear_upstream_reaches_exchanger():
     clean = PACK.predict({}, FLIGHT)
     worn = PACK.predict({"cc_efficiency_loss": 0.1}, FLIGHT)
     assert np.all(worn["cc_out_k"] > clean["cc_out_k"] + 5.0)
@@ -47,13 +47,13 @@ def test_wear_upstream_reaches_the_exchanger():
     assert np.all(starved["hot_out_k"] > clean["hot_out_k"])
 
 
-def test_pack_declares_only_what_nothing_feeds_as_its_parts_declare_it():
+def test_pack_declares_only_unfed_inputs():
     assert {s.name for s in PACK.inputs} == set(FLIGHT)
     assert len(PACK.params) == len(COMPRESSOR.params) + len(RAM_DUCT.params) + len(HEAT_EXCHANGER.params)
     assert Signal("tat_k", "K", sigma=0.3, bias_sd=0.5) in PACK.inputs
 
 
-def test_states_travel_with_their_component():
+def test_states_travel_with_component():
     """With the storing core in the pack, a long hold ends where the steady pack is."""
     pack = compose("pack", (COMPRESSOR, RAM_DUCT, CORE_EXCHANGER), WIRES)
     hold = FLIGHT | {"ram_door_open": np.full(200, 0.3)}

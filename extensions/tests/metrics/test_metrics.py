@@ -21,7 +21,7 @@ def figures(text: str) -> dict[str, dict[tuple[str, ...], float]]:
     return {f.name: {tuple(s.labels.values()): s.value for s in f.samples} for f in families}
 
 
-def test_figures_are_those_of_ledger_and_catalog(sample_home, tmp_path):
+def test_figures_equal_home(sample_home, tmp_path):
     file = tmp_path / "hdt.prom"
     result = CliRunner().invoke(app, ["metrics", "--home", str(sample_home), "--out", str(file)])
     assert result.exit_code == 0, result.output
@@ -44,7 +44,7 @@ def test_figures_are_those_of_ledger_and_catalog(sample_home, tmp_path):
     assert figures(printed.output) == values
 
 
-def test_every_rule_is_over_a_figure_and_without_a_night_one_line_tells_what_to_do(tmp_path, sample_home):
+def test_rules_use_exported_figures(tmp_path, sample_home):
     result = CliRunner().invoke(app, ["metrics", "--home", str(tmp_path)])
     assert isinstance(result.exception, StopError)
     assert "run `hdt nightly" in str(result.exception)

@@ -48,7 +48,7 @@ def moving_record():
     return {}, {"seen": clean + 0.05 * np.random.default_rng(1).standard_normal(60)}
 
 
-def test_equations_are_written_as_formulas():
+def test_equations_become_formulas():
     text = formulas(cooler, ["flow_kg_s", "conductance_kg_s"], {"lift_k": 1.0})[0]
     assert text == "((100.0 * exp(((-conductance_kg_s) / flow_kg_s))) + piecewise(1.0, (flow_kg_s > 2.0), 0.0))"
     with pytest.raises(TypeError, match="branch on a value"):
@@ -76,7 +76,7 @@ PRIOR = Belief(np.array([1.5, 0.5]), np.diag([0.5, 2.0]) ** 2)
     ],
     ids=["static, prior", "static, nothing known", "dynamic"],
 )
-def test_there_and_back_is_the_same_question(tmp_path, model, free, record, more):
+def test_round_trip_keeps_question(tmp_path, model, free, record, more):
     path = files(tmp_path, model, free, record, **more)
     from petab.v1 import Problem as Petab
     from petab.v1.lint import lint_problem
@@ -92,7 +92,7 @@ def test_there_and_back_is_the_same_question(tmp_path, model, free, record, more
     np.testing.assert_allclose(one.mean, other.mean, atol=1e-6 * one.sd.min())
 
 
-def test_pypesto_reproduces_the_fit(tmp_path):
+def test_pypesto_reproduces_fit(tmp_path):
     """From the files alone: formulas by petab, priors and measurements from its tables, the search by pyPESTO."""
     pypesto = pytest.importorskip("pypesto", reason="pyPESTO is not installed")
     optimize = pytest.importorskip("pypesto.optimize", reason="pyPESTO is not installed")
@@ -136,7 +136,7 @@ def test_pypesto_reproduces_the_fit(tmp_path):
     assert chi2 == pytest.approx(ours.fit.chi2, rel=1e-9)
 
 
-def test_what_petab_cannot_hold_is_refused(tmp_path):
+def test_unsupported_problem_is_refused(tmp_path):
     tilted = Belief(PRIOR.mean, np.array([[0.25, 0.1], [0.1, 4.0]]))
     with pytest.raises(ValueError, match="no correlations"):
         files(tmp_path, STATIC, ["conductance_kg_s", "lift_k"], static_record(), prior=tilted)

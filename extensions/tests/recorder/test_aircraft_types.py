@@ -31,7 +31,7 @@ ERRORS = {
 
 
 @pytest.mark.parametrize("change", ERRORS)
-def test_an_error_names_file_line_and_key(tmp_path, change):
+def test_type_error_names_its_place(tmp_path, change):
     file = tmp_path / "x.toml"
     assert change[0] in B787.read_text()
     file.write_text(B787.read_text().replace(*change, 1))
@@ -40,7 +40,7 @@ def test_an_error_names_file_line_and_key(tmp_path, change):
     assert ERRORS[change] in str(error.value)
 
 
-def test_what_a_type_lacks_is_told_and_a_unit_of_the_recorder_becomes_the_columns():
+def test_type_coverage_names_missing_columns():
     coverage = {Path(f).stem: {row[1]: row[2:] for row in coverage_of(read_type(f))} for f in packaged_files()}
     assert coverage["b787_767"]["hx_fouling"] == coverage["b787_767"]["cac_efficiency_loss"] == ("recorded", "", "")
     assert coverage["b787_767"]["hx_h_hot_w_k"] == ("not_recorded", "ram_out_degc", "no sensor")
@@ -50,7 +50,7 @@ def test_what_a_type_lacks_is_told_and_a_unit_of_the_recorder_becomes_the_column
     assert pressure.scale * 1013.25 == pytest.approx(14.696, abs=1e-3)
 
 
-def test_a_zone_describes_its_own_types_and_a_bad_one_costs_no_other(tmp_path):
+def test_bad_type_costs_no_other(tmp_path):
     folder = tmp_path / "types"
     folder.mkdir()
     (folder / "good.toml").write_text('type = "MINE"\nmap = "m.toml"\n[pack]\nmach = "M"\n')
@@ -69,7 +69,7 @@ def test_a_zone_describes_its_own_types_and_a_bad_one_costs_no_other(tmp_path):
     assert reasons == {"types/bad.toml": "bad_type", "AAA/T2/recorder/T2_20240101_01.dat": "unknown_type"}
 
 
-def test_links_out_of_the_zone_are_not_followed(tmp_path):
+def test_outside_links_are_not_followed(tmp_path):
     outside = tmp_path / "outside"
     zone = tmp_path / "zone"
     outside.mkdir()
@@ -84,7 +84,7 @@ def test_links_out_of_the_zone_are_not_followed(tmp_path):
     assert types.faults["own.toml"] == "own.toml line 2: map: m.toml leads out of the folder"
 
 
-def test_an_archive_that_claims_too_much_is_not_unpacked(tmp_path, monkeypatch):
+def test_bloated_archive_is_not_unpacked(tmp_path, monkeypatch):
     (tmp_path / "types").mkdir()
     (tmp_path / "types/t.toml").write_text('type = "T"\nmap = "maps/m.toml"\n[pack]\nmach = "M"\n')
     (tmp_path / "types/maps").mkdir()
@@ -113,7 +113,7 @@ SPANS = (
         *((TYPE % entry, r"type\.toml line 4: \[pack\] mach") for entry in SPANS),
     ],
 )
-def test_what_is_no_toml_and_no_span_of_a_column_is_one_line(tmp_path, text, message):
+def test_broken_type_takes_one_line(tmp_path, text, message):
     (tmp_path / "type.toml").write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(AircraftTypeError, match=message):
         read_type(tmp_path / "type.toml")

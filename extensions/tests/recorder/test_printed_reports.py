@@ -34,7 +34,7 @@ def balances(log: FileIntake) -> bool:
     return log.n_delivered == log.rows.height + log.n_duplicate + int(log.quarantine["n_rows"].sum())
 
 
-def test_a_head_becomes_a_row_and_a_repeated_one_is_counted(tmp_path):
+def test_head_becomes_one_row(tmp_path):
     other = printed_report("X-1", AT.replace(hour=13), 5_000, "-.-- 111 -- X 01 111 0.00")
     log = read_printed(delivered(tmp_path, message_file(GOOD, other, GOOD)), NOW, "v")
     first, second = log.rows.rows(named=True)
@@ -57,7 +57,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("reason", DAMAGE)
-def test_damage_is_told_by_line_and_costs_no_other_report(tmp_path, reason):
+def test_damage_costs_no_other_report(tmp_path, reason):
     assert DAMAGE[reason][0] in GOOD
     bad = GOOD.replace(*DAMAGE[reason])
     texts = (bad,) if reason == "no_report" else (bad, GOOD.replace("12.30", "14.30"))
@@ -70,7 +70,7 @@ def test_damage_is_told_by_line_and_costs_no_other_report(tmp_path, reason):
         assert "\n".join(texts).splitlines()[by_reason[reason]["row"] - 1][:2] in {"C1", "C3"}
 
 
-def test_an_archive_is_read_by_its_message_file(tmp_path):
+def test_archive_is_read_by_message_file(tmp_path):
     file = delivered(tmp_path, b"", "LX_1.zip")
     with zipfile.ZipFile(file.full_path, "w") as archive:
         archive.writestr("raw.dat", bytes(200_000))
@@ -78,7 +78,7 @@ def test_an_archive_is_read_by_its_message_file(tmp_path):
     assert read_printed(file, NOW, "v").rows.height == 1
 
 
-def test_a_type_may_bring_its_own_layouts(tmp_path):
+def test_type_brings_own_layouts(tmp_path):
     (tmp_path / "types").mkdir()
     (tmp_path / "fleet.csv").write_text("operator,tail,packs,type\nAAA,X-1,2,MINE\n")
     description = 'type = "MINE"\nmap = "m.toml"\nreports = "mine.reports"\n[component.HXT]\ntat_degc = "TAT"\n'
@@ -94,7 +94,7 @@ def test_a_type_may_bring_its_own_layouts(tmp_path):
     assert "mine.reports: line 1: a report begins with" in log.quarantine["detail"][0]
 
 
-def test_what_is_stored_is_not_read_again_and_stays_when_its_file_leaves(tmp_path, monkeypatch):
+def test_stored_file_is_read_once(tmp_path, monkeypatch):
     landing = tmp_path / "landing"
     read_files = []
 
@@ -157,7 +157,7 @@ def read(*texts: str):
     return read_reports(message_file(*texts), LAYOUTS)
 
 
-def test_a_report_says_what_its_layout_declares_in_plain_text_too():
+def test_report_follows_its_layout():
     result = read(OTHER, REPORT, REPORT)
     assert result.rejected == ()
     assert result.undeclared == ("A999 DOOR REPORT(TST)",)
@@ -185,7 +185,7 @@ def test_a_report_says_what_its_layout_declares_in_plain_text_too():
         (("E1 UTC: 12.30.05", "E1 UTD: 12.30.05"), "it is 'UTD:', not as wide"),
     ],
 )
-def test_a_damaged_line_is_set_aside_with_its_reason_and_costs_no_other(change, reason):
+def test_damaged_line_costs_no_other(change, reason):
     assert change[0] in REPORT
     damaged = REPORT.replace(*change)
     result = read(damaged)
@@ -195,14 +195,14 @@ def test_a_damaged_line_is_set_aside_with_its_reason_and_costs_no_other(change, 
     assert len(result.lines) == 6
 
 
-def test_a_message_that_lost_characters_is_told():
+def test_shortened_message_is_rejected():
     data = message_file(REPORT, REPORT)
     at = data.index(b"   ACID")
     result = read_reports(data[:at] + data[at + 3 :], LAYOUTS)
     assert any("characters, by its end" in r.reason for r in result.rejected)
 
 
-def test_three_hundred_damaged_files_are_read_or_set_aside():
+def test_damaged_files_invent_no_numbers():
     whole = {(x.row, tuple(x.values.values())) for x in read(REPORT).lines}
     data = message_file(*[REPORT] * 4)
     n_intact = 0
@@ -229,12 +229,12 @@ def test_three_hundred_damaged_files_are_read_or_set_aside():
         ("<91> X\nN1 {a:x}", "line 2: fields are"),
     ],
 )
-def test_a_layout_that_cannot_be_read_says_where(text, message):
+def test_unreadable_layout_names_line(text, message):
     with pytest.raises(LayoutError, match=message):
         read_layouts(text)
 
 
-def test_the_seven_layouts_are_short():
+def test_seven_layouts_are_short():
     """A new report is a declaration of twenty lines or less."""
     assert set(A330) == {"08", "10", "13", "15", "18", "37", "50"}
     common = 4

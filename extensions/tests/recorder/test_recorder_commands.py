@@ -28,7 +28,7 @@ def recording(tmp_path):
     return path, raw
 
 
-def test_a_recording_is_decoded_into_a_table(recording, tmp_path):
+def test_recording_becomes_table(recording, tmp_path):
     path, raw = recording
     target = tmp_path / "flight.parquet"
     done = hdt("recorder", "decode", path, "--map", MAP_717, "--out", target)
@@ -46,7 +46,7 @@ def test_a_recording_is_decoded_into_a_table(recording, tmp_path):
     assert rows.filter(parameter="CITY")["value"].null_count() == 3
 
 
-def test_only_parameters_that_are_named_are_decoded_and_an_archive_is_read_by_its_largest_file(recording, tmp_path):
+def test_only_named_parameters_are_decoded(recording, tmp_path):
     target = tmp_path / "two.parquet"
     words = ("--parameter", "PITCH", "--parameter", "MODE", "--out", target)
     done = hdt("recorder", "decode", recording[0], "--map", DATA / "demo_717.csv", *words)
@@ -62,7 +62,7 @@ def test_only_parameters_that_are_named_are_decoded_and_an_archive_is_read_by_it
     assert "ALTITUDE" in done.stdout
 
 
-def test_what_a_recording_holds_is_listed(tmp_path):
+def test_recording_contents_are_listed(tmp_path):
     path = tmp_path / "flight.767"
     path.write_bytes(frames_767(DEMO_767, raw_767(5)))
     done = hdt("recorder", "list", path, "--map", MAP_767, "--json")
@@ -75,7 +75,7 @@ def test_what_a_recording_holds_is_listed(tmp_path):
     assert rates["DIGIT"] == ("", 0.25, "bcd")
 
 
-def test_printed_reports_are_read_and_what_is_damaged_is_told(tmp_path):
+def test_printed_reports_become_table(tmp_path):
     text = "\n   A999 PACK SURVEY REPORT <91>   PAGE 01 OF 01\n\nN1 1.31 OFF\nN2 -.-- ON\nN1 1.3 OFF\n"
     (tmp_path / "message.dat").write_bytes(message_file(text))
     (tmp_path / "own.txt").write_text("<91> PACK SURVEY\nN1|N2 {flow:4} {state:s}\n")
@@ -107,7 +107,7 @@ def test_printed_reports_are_read_and_what_is_damaged_is_told(tmp_path):
         (("decode", "{rec}", "--map", MAP_717, "--out", "{tmp}"), "is not overwritten"),
     ],
 )
-def test_what_does_not_go_together_is_told_in_one_line(words, message, recording, tmp_path):
+def test_mismatch_takes_one_line(words, message, recording, tmp_path):
     (tmp_path / "wide.toml").write_text('format = "ARINC 717"\nwords_per_second = 128\n')
     (tmp_path / "empty.dat").touch()
     with zipfile.ZipFile(tmp_path / "broken.zip", "w") as file:
@@ -123,7 +123,7 @@ def test_what_does_not_go_together_is_told_in_one_line(words, message, recording
 
 
 @pytest.mark.parametrize("words", [("reports",), ("list", "--map", MAP_717)])
-def test_an_archive_that_unpacks_to_more_than_a_night_takes_in_is_refused(tmp_path, monkeypatch, words):
+def test_bloated_archive_is_refused(tmp_path, monkeypatch, words):
     monkeypatch.setattr("hdt_recorder.recordings.MOST_BYTES", 1 << 20)
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("message.dat", bytes((1 << 20) + 1))
@@ -132,7 +132,7 @@ def test_an_archive_that_unpacks_to_more_than_a_night_takes_in_is_refused(tmp_pa
     assert "1,048,577 bytes; 1,048,576 are allowed" in done.stderr
 
 
-def test_the_command_and_the_night_have_one_bound():
+def test_command_shares_bound_with_night():
     assert recorder_rows.MOST_BYTES == printed_reports.MOST_BYTES == recordings.MOST_BYTES == 512 << 20
 
 
@@ -145,7 +145,7 @@ DEEP = "[" * 20_000 + "]" * 20_000
     ("head.toml", 'format = "ARINC 717"\nwords_per_second = inf'),
     ("entry.toml", 'format = "ARINC 717"\nwords_per_second = 64\nparameter = [1]'),
 ])  # fmt: skip
-def test_a_map_that_is_none_is_one_line(recording, tmp_path, name, text):
+def test_broken_map_takes_one_line(recording, tmp_path, name, text):
     (tmp_path / name).write_text(text)
     done = hdt("recorder", "list", recording[0], "--map", tmp_path / name)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
@@ -153,7 +153,7 @@ def test_a_map_that_is_none_is_one_line(recording, tmp_path, name, text):
 
 
 @pytest.mark.parametrize("member", ["a map", "a recording"])
-def test_an_archive_that_is_damaged_is_one_line(recording, tmp_path, member):
+def test_damaged_archive_takes_one_line(recording, tmp_path, member):
     name = "x.par" if member == "a map" else "flight.dat"
     with zipfile.ZipFile(tmp_path / "bad.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(name, bytes(range(256)) * 64)

@@ -47,7 +47,7 @@ def write(folder: Path, suite: str, form: str) -> tuple[Path, pl.DataFrame]:
 
 
 @pytest.mark.parametrize(("suite", "form"), [("787", "767"), ("787", "717")])
-def test_a_recording_says_what_was_simulated(tmp_path, suite, form):
+def test_recording_equals_simulation(tmp_path, suite, form):
     landing, true = write(tmp_path, suite, form)
     file = next(f for f in list_landing(landing).files if f.is_recording)
     rows, n_rows, faults = recorder_rows(file, "pack")
@@ -90,7 +90,7 @@ def world(tmp_path_factory) -> dict[str, Any]:
     return {"landing": landing, "home": top / "home", "damaged": first.name, "stranger": stranger.name} | crossfed
 
 
-def test_both_types_reach_the_catalog_and_two_flights_calibrate_nothing(world):
+def test_both_types_reach_catalog(world):
     counts = ask(world["home"], "select operator, source, count(*) from flights group by all order by all")
     assert counts == [("SAA", "cpl", 2), ("SAB", "component", 2)]
     health = ask(world["home"], "select distinct operator, parameter, status from health_parameters order by all")
@@ -109,7 +109,7 @@ def test_both_types_reach_the_catalog_and_two_flights_calibrate_nothing(world):
     assert ask(world["home"], "select count(*) from alerts where component in ('HXT', 'CAC')") == [(0,)]
 
 
-def test_damage_a_map_that_does_not_fit_and_a_bad_type_are_told(world):
+def test_quarantine_names_each_fault(world):
     rows = ask(world["home"], "select file, reason, detail from quarantine")
     reasons = {(Path(file).name, reason): detail for file, reason, detail in rows}
     assert "frames: " in reasons[world["damaged"], "recording_damaged"]
@@ -119,7 +119,7 @@ def test_damage_a_map_that_does_not_fit_and_a_bad_type_are_told(world):
     assert (world["stranger"].removesuffix(".dat"),) not in legs
 
 
-def test_a_printed_report_of_odd_bleed_turns_the_flight_away(world):
+def test_odd_bleed_turns_flight_away(world):
     legs = ask(world["home"], "select distinct flight_id, reason from component_legs where operator = 'SAB' "
                               "and reason in ('', 'BLEED', 'NOT_COMMISSIONED') order by all")  # fmt: skip
     assert {reason for flight, reason in legs if flight == world["flight"]} == {"BLEED"}
@@ -131,7 +131,7 @@ def test_a_printed_report_of_odd_bleed_turns_the_flight_away(world):
     assert other[2] == 1
 
 
-def test_what_can_not_be_estimated_is_said(world):
+def test_missing_signals_are_named(world):
     lacks = dict(ask(world["home"], "select parameter, missing from coverage where operator = 'SAB' "
                                     "and status = 'not_recorded'"))  # fmt: skip
     assert lacks["hx_fouling"] == "ram_door_pct, pack_flow_lbpm"
@@ -141,7 +141,7 @@ def test_what_can_not_be_estimated_is_said(world):
     assert not checks["type slip.toml"].well
 
 
-def test_an_accepted_spray_makes_the_calibration_of_components_stale(world):
+def test_accepted_spray_makes_calibration_stale(world):
     ledger = Ledger(world["home"])
     assert find_stale_cells(ledger, STAGE["calibration_components"]).is_empty()
     (world["home"] / "terms.txt").write_text("water_spray\n")
@@ -187,7 +187,7 @@ def readings(home: Path, tail: str) -> dict[tuple[int, str], tuple[float, float,
     return {(pack, name): (value, sd, status) for pack, name, value, sd, status in values}
 
 
-def test_a_real_taxi_is_read_as_another_decoder_reads_it(real):
+def test_real_taxi_equals_other_decoder(real):
     of_taxi = readings(real, "B-6789")
     hot_in, hot_out, outside, speed = read_by_another(
         "767", "CASRPACKCOTEMPMP__01", "CASRSECHXOTEMPMP__01", "ENGTATSEL_EECGER", "CASRCAC2RPMPM_CTL_01"
@@ -204,12 +204,12 @@ def test_a_real_taxi_is_read_as_another_decoder_reads_it(real):
         assert of_taxi[pack, "hxt_fan_rpm"][::2] == (pytest.approx(11_220, abs=10), "measured")
 
 
-def test_a_real_taxi_is_no_flight(real):
+def test_real_taxi_is_no_flight(real):
     assert ask(real, "select tail, reason from held_flights") == [("B-6789", "no_flight")]
     assert ask(real, "select distinct tail from flights") == [("B-8888",)]
 
 
-def test_a_real_climb_and_heads_of_reports_reach_the_catalog(real):
+def test_real_climb_reaches_catalog(real):
     health = {(p, n): (v, sd, s) for p, n, v, sd, s in ask(
         real, "select pack, parameter, value, sd, status from health_parameters where tail = 'B-8888'")}  # fmt: skip
     for pack in (1, 2):

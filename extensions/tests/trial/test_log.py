@@ -97,7 +97,7 @@ def restore(folder, whole):
             file.write_bytes(data)
 
 
-def test_a_log_that_was_tampered_with_is_found_in_1000_of_1000_tries(sealed, folder):
+def test_tampered_log_is_always_caught(sealed, folder):
     """The careful rewrite the whole chain: only the digest that was printed and kept elsewhere shows it."""
     assert list(faults(sealed, [e.digest for e in entries(sealed)])) == [], "an untouched log has no fault"
     printed = entries(sealed)[-1].digest
@@ -113,13 +113,13 @@ def test_a_log_that_was_tampered_with_is_found_in_1000_of_1000_tries(sealed, fol
     assert detections == 1000
 
 
-def test_nothing_is_added_to_a_broken_log(folder):
+def test_broken_log_takes_no_entry(folder):
     (folder / "00005.json").unlink()
     with pytest.raises(TrialError, match="entry 5 is missing"):
         append(folder, "night", {}, NOW + dt.timedelta(days=30))
 
 
-def test_a_kill_between_entry_and_head_is_told_and_mended_by_the_next_night(folder):
+def test_next_night_mends_missing_head(folder):
     heads = (folder / HEADS).read_text().splitlines(keepends=True)
     (folder / HEADS).write_text("".join(heads[:-1]))
     assert list(faults(folder)) == ["1 entries at the end are not in heads.txt"]
@@ -128,7 +128,7 @@ def test_a_kill_between_entry_and_head_is_told_and_mended_by_the_next_night(fold
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl")
-def test_a_time_stamp_holds_for_its_entry_alone(folder, tmp_path):
+def test_time_stamp_fits_one_entry(folder, tmp_path):
     """An authority of our own answers the request, as one on the network would."""
     log = entries(folder)
     query = stamp_request(folder, log[-1])

@@ -90,7 +90,7 @@ def sealed_through(world, *days):
         world.night(day)
 
 
-def test_alerts_are_judged_by_the_night_that_sealed_them(world):
+def test_alerts_are_judged_when_sealed(world):
     """Raised on day 20 and sealed that night, message on day 50: 30 flights. Of the other, the message came first."""
     world.tables |= {
         "features_alerts": [alert("good", 20), alert("late", 120), alert("none", 70, closed=90)],
@@ -108,14 +108,14 @@ def test_alerts_are_judged_by_the_night_that_sealed_them(world):
 @pytest.mark.parametrize(
     ("finding", "verdict"), [("FOULED", "hit"), ("NO_FAULT_FOUND", "false_alarm"), (None, "removed")]
 )
-def test_a_removal_is_judged_by_its_finding(world, finding, verdict):
+def test_removal_is_judged_by_finding(world, finding, verdict):
     world.tables |= {"features_alerts": [alert("one", 20)], "raw_maintenance": [replaced(50, finding)]}
     begin(world)
     sealed_through(world, 20, 80)
     assert [a.verdict for a in world.score_alerts().alerts] == [verdict]
 
 
-def test_work_that_shows_a_loss_answers(world):
+def test_work_showing_loss_answers(world):
     wash = replaced(50, None) | {"action": "CLEANED"}
     judged = {"verdict": "logged", "in_force": True, "position": 1, "is_shown": True, "flown_from": wash["counts_from"]}
     world.tables |= {
@@ -128,7 +128,7 @@ def test_work_that_shows_a_loss_answers(world):
     assert [a.verdict for a in world.score_alerts().alerts] == ["answered"]
 
 
-def test_an_alert_that_is_withdrawn_later_still_counts_and_one_not_flown_on_is_open(world):
+def test_withdrawn_alert_still_counts(world):
     world.tables["features_alerts"] = [alert("gone", 20), alert("young", 90)]
     begin(world)
     world.night(20)
@@ -138,7 +138,7 @@ def test_an_alert_that_is_withdrawn_later_still_counts_and_one_not_flown_on_is_o
     assert [a.verdict for a in world.score_alerts().alerts] == ["false_alarm", "open"]
 
 
-def test_outcomes_of_a_file_are_sealed_and_judged(world, tmp_path):
+def test_outcomes_of_file_are_judged(world, tmp_path):
     world.tables["features_alerts"] = [alert("one", 20)]
     begin(world)
     world.night(20)
@@ -159,14 +159,14 @@ def test_outcomes_of_a_file_are_sealed_and_judged(world, tmp_path):
         ("AAA,,1,HX,2026-01-01,MESSAGE", "row 2 column tail: None"),
     ],
 )
-def test_an_outcome_that_can_not_be_is_told_by_row_and_column(world, tmp_path, row, message):
+def test_impossible_outcome_names_its_place(world, tmp_path, row, message):
     file = tmp_path / "shop.csv"
     file.write_text(f"operator,tail,pack,component,at,kind\n{row}\n")
     with pytest.raises(TrialError, match=message):
         seal_outcomes(world.home, file)
 
 
-def test_the_operators_rules_are_judged_over_the_same_flights(world, tmp_path):
+def test_operator_rules_are_judged_alike(world, tmp_path):
     """A rule given as SQL is sealed; a file is taken at its word."""
     file = tmp_path / "maker.csv"
     file.write_text(f"operator,tail,pack,component,raised_at\nAAA,T-1,1,HX,{START + dt.timedelta(days=45)}\n")
@@ -184,7 +184,7 @@ def test_the_operators_rules_are_judged_over_the_same_flights(world, tmp_path):
     assert result.agreement["maker"]["ours alone"] is None
 
 
-def test_what_changes_after_the_start_is_told(world, monkeypatch):
+def test_changes_after_start_are_sealed(world, monkeypatch):
     begin(world)
     assert "changes" not in world.night(20).body
     monkeypatch.setattr(frozen, "constants", lambda: (("health/alerts.py SHARE", "0.5"),))
@@ -194,7 +194,7 @@ def test_what_changes_after_the_start_is_told(world, monkeypatch):
     assert list(faults(world.home / "trial")) == []
 
 
-def test_each_night_seals_only_what_is_new(world):
+def test_night_seals_only_news(world):
     world.tables["features_alerts"] = [alert("one", 20)]
     begin(world)
     first = world.night(20)
@@ -204,7 +204,7 @@ def test_each_night_seals_only_what_is_new(world):
     assert again.body["prognoses"] == []
 
 
-def test_nights_are_sealed_for_as_long_as_was_declared(world):
+def test_nights_are_sealed_as_declared(world):
     start(world.home, DEFAULT, START)
     assert world.night(89)
     assert world.night(90) is None
@@ -227,18 +227,18 @@ NO_NUMBERS = ("days = 99999999999", "days = -1", "[cost]\nfalse_alarm = inf", "r
         *((entry, ".") for entry in NO_NUMBERS),
     ],
 )
-def test_a_declaration_that_can_not_be_is_told(text, message):
+def test_impossible_declaration_is_refused(text, message):
     with pytest.raises(TrialError, match=message):
         read_declaration(text)
 
 
 @pytest.mark.parametrize("sql", ["select 1 as operator", "drop table x", "select * from no_such"])
-def test_a_rule_that_can_not_be_asked_is_told(world, sql):
+def test_unanswerable_rule_is_refused(world, sql):
     with pytest.raises(TrialError, match="rule own"):
         begin(world, f'[rule.own]\nsql = "{sql}"\n')
 
 
-def test_the_command(own_home, tmp_path, capsys):
+def test_command_runs_whole_trial(own_home, tmp_path, capsys):
     """On the sample's home: start, an idle night that seals, a page, and a log that was touched."""
     landing, home = own_home
 
@@ -279,7 +279,7 @@ def evaluate_fleet(seed, tails, declared):
     return evaluate_log(trials.log(units), declared, trials.outcomes(units, declared), {})
 
 
-def test_every_figure_holds_the_truth_in_88_percent_of_50_trials(declared):
+def test_figures_cover_truth(declared):
     """Truth: the generator's own account of 800 aircraft, lives whole. Trials: 30 aircraft, 300 sealed flights."""
     truth = trials.truth(trials.fleet(10**6, 800), declared)
     coverage = Counter()
@@ -294,7 +294,7 @@ def test_every_figure_holds_the_truth_in_88_percent_of_50_trials(declared):
     assert {name: n for name, n in coverage.items() if n < 0.88 * TRIALS} == {}
 
 
-def test_the_page_names_no_aircraft_and_says_what_n_is_and_a_small_fleet_gives_nothing_away(declared):
+def test_page_names_no_aircraft(declared):
     result = evaluate_fleet(5, 30, declared)
     html = page(result)
     assert "T-0" not in html
@@ -309,5 +309,5 @@ def test_the_page_names_no_aircraft_and_says_what_n_is_and_a_small_fleet_gives_n
 
 
 @pytest.mark.parametrize("module", [figures, intervals])
-def test_examples(module):
+def test_docstring_examples_hold(module):
     assert doctest.testmod(module).failed == 0

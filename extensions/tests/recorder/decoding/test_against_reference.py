@@ -65,7 +65,7 @@ def disagreements(ours: dict, reference: dict[str, pl.DataFrame]) -> list[str]:
     return lines
 
 
-def test_every_parameter_equals_the_independent_decoders(a330):
+def test_parameters_equal_independent_decoder(a330):
     reference = theirs("decoded_717.parquet")
     assert len(reference) == 426
     assert disagreements(a330, {n: f for n, f in reference.items() if n not in LISTED_TWICE}) == []
@@ -78,7 +78,7 @@ def test_every_parameter_equals_the_independent_decoders(a330):
     assert disagreements(b787, reference) == []
 
 
-def test_every_line_of_the_seven_printed_reports_is_read(a330):
+def test_printed_reports_are_read_whole(a330):
     """And they say what the recording says: one flight, one pair of engines."""
     reports = read_reports(members("a330_717.wgl.zip")["message.dat"], A330)
     assert reports.rejected == ()
@@ -95,7 +95,7 @@ def test_every_line_of_the_seven_printed_reports_is_read(a330):
     assert {(p["pack_flow_1"] < 0.1, p["crossfeed"], p["apu"]) for p in packs} == {(True, 1.0, "1")}
 
 
-def test_the_examples_of_arinc_647a_are_read():
+def test_arinc_647a_examples_are_read():
     """Every kind of element of the standard; what its words leave to a person is told."""
     examples = {n: read_xml(text) for n, text in members("arinc_647a_1.zip").items() if n.endswith(".xml")}
     (frame_767,), (frame_717,) = ([m for m in examples.values() if isinstance(m, kind)] for kind in (Map767, Map717))
@@ -113,7 +113,7 @@ def test_the_examples_of_arinc_647a_are_read():
     assert frame_767.frames[3].size == 12 + 3  # two of 12 bits
 
 
-def test_what_the_map_leaves_to_the_reader_is_what_the_aircraft_says_elsewhere(a330):
+def test_whole_values_agree_with_reports(a330):
     """Beside the values as listed: the flight, the airport and the position that the printed reports have too."""
 
     def texts(name: str) -> set[str]:

@@ -66,7 +66,7 @@ def damage(words: np.ndarray, packing: Packing, rng: np.random.Generator) -> tup
 
 
 @pytest.mark.parametrize("packing", PACKINGS, ids=lambda p: f"{'aligned' if p.aligned else 'stream'} {p.order}")
-def test_a_damaged_arinc_717_file_tells_nothing_that_was_not_recorded(packing):
+def test_damaged_717_file_invents_nothing(packing):
     n_whole = 0
     for seed in range(FILES // len(PACKINGS)):
         rng = np.random.default_rng([seed, PACKINGS.index(packing)])
@@ -81,7 +81,7 @@ def test_a_damaged_arinc_717_file_tells_nothing_that_was_not_recorded(packing):
     assert n_whole / (FILES // len(PACKINGS)) > 0.5  # most of most files comes through
 
 
-def test_a_flipped_sync_word_costs_both_its_sides_a_lost_word_its_subframe_and_standing_still_no_row():
+def test_flipped_sync_word_costs_both_sides():
     words = recording(0)
     words[10, SYNCS[2]] ^= 4
     arrangement = arranged(pack(words, PACKINGS[0]))
@@ -100,7 +100,7 @@ def test_a_flipped_sync_word_costs_both_its_sides_a_lost_word_its_subframe_and_s
     assert arrangement.t_s[20] - arrangement.t_s[19] == 4004.0
 
 
-def test_frames_that_are_missing_are_null_at_their_time():
+def test_missing_frames_are_null():
     words = recording(1)
     arrangement = arranged(pack(np.delete(words, np.s_[12:17], axis=0), PACKINGS[0]))
     assert arrangement.damage.missing == 20
@@ -112,7 +112,7 @@ def test_frames_that_are_missing_are_null_at_their_time():
     assert (invalid.min(), invalid.max()) == (44, 68)
 
 
-def test_a_superframe_with_a_frame_missing_has_no_value():
+def test_incomplete_superframe_has_no_value():
     words = recording(4, frames=64)
     begins = 12  # 100 + 12 is a multiple of 16
     whole = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
@@ -123,7 +123,7 @@ def test_a_superframe_with_a_frame_missing_has_no_value():
     assert damaged["WEIGHT"].valid.tolist() == [True] * 6 + [False] * 2  # the last superframe was cut short
 
 
-def test_a_damaged_arinc_767_file_tells_nothing_that_was_not_recorded():
+def test_damaged_767_file_invents_nothing():
     """Bytes within a frame's data can't be told from good ones: all else is damaged here."""
     whole_frames = 0.0
     for seed in range(FILES):
@@ -151,7 +151,7 @@ def arranged_767(data: bytes):
     return arrange_767(raw, find_frames(raw), DEMO_767.frames)
 
 
-def test_a_lost_arinc_767_frame_is_null_at_its_time_and_times_that_jitter_lose_nothing():
+def test_lost_767_frame_is_null():
     data = frames_767(DEMO_767, raw_767(0))
     frames = find_frames(np.frombuffer(data, np.uint8))
     third = np.flatnonzero(frames.number == 3)[20]
@@ -172,6 +172,6 @@ def test_a_lost_arinc_767_frame_is_null_at_its_time_and_times_that_jitter_lose_n
 
 
 @pytest.mark.parametrize("data", [b"", b"\x47", b"\xeb\x90", bytes(5000), b"\xeb\x90" * 3000], ids=range(5))
-def test_no_recording_at_all_has_no_frames(data):
+def test_other_bytes_have_no_frames(data):
     assert find_packing(np.frombuffer(data, np.uint8), 64) is None
     assert not arranged_767(data).frames[3].whole.any()

@@ -81,7 +81,7 @@ def texts(series) -> list:
     ],
     ids=["vec", "xml", "csv"],
 )
-def test_every_format_of_a_map_reads_the_same_values(layout, names, more):
+def test_map_formats_read_same_values(layout, names, more):
     ours = read(RECORDING)
     theirs = read(RECORDING, layout)
     assert {n.replace(" ", "_") for n in layout.parameters} == {*names.split(), *more.split()}
@@ -94,7 +94,7 @@ def test_every_format_of_a_map_reads_the_same_values(layout, names, more):
         assert theirs[name].parameter.rate_hz == ours[name].parameter.rate_hz
 
 
-def test_a_vec_has_numbers_and_text_as_listed_and_whole():
+def test_vec_has_values_listed_or_whole():
     series = read(RECORDING, VEC)
     ours = read(RECORDING)["FREQUENCY"]
     np.testing.assert_allclose(series["FREQUENCY"].value, 100 * (ours.value - 100))
@@ -106,7 +106,7 @@ def test_a_vec_has_numbers_and_text_as_listed_and_whole():
     assert texts(series["CITY"]) == [x for c in ours for x in (c[:3] + "\0", "\0\0\0" + c[3])]
 
 
-def test_a_vec_number_without_its_high_bits_is_as_negative_as_its_sign_says():
+def test_vec_number_extends_its_sign():
     """Recorded are the sign and bits 24 to 17 of 28 to 17: the four between are the sign again."""
     series = read(RECORDING, VEC)
     raw = frames_717(DEMO_717, RAW, first_count=0).reshape(-1, 64)[:, 30] >> 3
@@ -115,7 +115,7 @@ def test_a_vec_number_without_its_high_bits_is_as_negative_as_its_sign_says():
     np.testing.assert_allclose(series["SMALL"].value, 0.5 * np.where(raw >= 256, (raw - 256.0) - 4096.0, raw))
 
 
-def test_a_garbled_map_is_read_or_told_of():
+def test_garbled_map_is_read_or_refused():
     """Characters lost, doubled or changed: the map is refused with a reason, or decodes into numbers."""
     readers = {
         TOML: read_toml,
@@ -155,7 +155,7 @@ def garble(text: str, rng: np.random.Generator) -> str:
     return "".join(chars)
 
 
-def test_conversions_are_what_they_say_and_what_only_a_person_can_convert_is_listed():
+def test_conversions_follow_their_formulas():
     assert "Teledyne Synchro" in read_xml(XML.encode()).parameters["RUDDER"].unreadable
     assert "SOMETHING NEW" in VEC.parameters["ODD"].unreadable
     assert {"RUDDER", "ODD"}.isdisjoint({*read(RECORDING, VEC), *read(RECORDING, read_xml(XML.encode()))})
@@ -165,7 +165,7 @@ def test_conversions_are_what_they_say_and_what_only_a_person_can_convert_is_lis
     np.testing.assert_allclose(LookupTable((0.0, 1.0, 2.0), (0.0, 10.0, 0.0))(x), [np.nan, 0.0, 5.0, 0.0, np.nan])
 
 
-def test_a_vec_of_arinc_767_reads_the_same_values():
+def test_vec_767_reads_same_values():
     def meaning(p) -> str:
         kinds = {"float": "COMPUTED ON BOARD", "binary": "BNR LINEAR (A*X)", "discrete": "DISCRETE"}
         kind = kinds.get(p.coding.kind, "BCD")
@@ -212,7 +212,7 @@ READERS = {TOML: read_toml, XML: lambda text: read_xml(text.encode())}
         (XML, ("<FREDFile", "<!DOCTYPE x [<!ENTITY y 'z'>]><FREDFile"), "no entities"),
     ],
 )
-def test_a_map_of_text_that_cannot_be_read_says_where(whole, change, message):
+def test_unreadable_map_names_place(whole, change, message):
     assert change[0] in whole
     with pytest.raises(MapError, match=message.replace("[", r"\[")):
         READERS[whole](whole.replace(*change, 1))
@@ -230,6 +230,6 @@ def test_a_map_of_text_that_cannot_be_read_says_where(whole, change, message):
         ({"par": PAR, "frd": "2|3\tx\t1\t1\n3|3\t1\tNOWHERE\tX"}, "does not define NOWHERE"),
     ],
 )
-def test_a_vec_that_cannot_be_read_says_where(files, message):
+def test_unreadable_vec_names_place(files, message):
     with pytest.raises(MapError, match=message):
         read_vec(archive(vec(**files)))

@@ -46,7 +46,7 @@ MEANT_717 = {
 
 @pytest.mark.parametrize("packing", PACKINGS, ids=ids)
 @pytest.mark.parametrize("before_bits", [0, 24, 8 * 37])
-def test_every_value_of_an_arinc_717_recording_comes_back(packing, before_bits):
+def test_every_717_value_comes_back(packing, before_bits):
     raw = random_raw(DEMO_717, np.random.default_rng(3), 48)
     series = read(pack(frames_717(DEMO_717, raw, first_count=0), packing, before_bits))
     for name, mean in MEANT_717.items():
@@ -59,7 +59,7 @@ def test_every_value_of_an_arinc_717_recording_comes_back(packing, before_bits):
     assert texts(series["UTC"]) == [f"{r >> 12:02d}:{r >> 6 & 63:02d}:{r & 63:02d}" for r in map(int, raw["UTC"])]
 
 
-def test_times_are_those_of_the_places_in_the_frame():
+def test_times_follow_places_in_frame():
     raw = random_raw(DEMO_717, np.random.default_rng(0), 32)
     series = read(pack(frames_717(DEMO_717, raw, first_count=0), PACKINGS[0]))
     np.testing.assert_allclose(series["PACK_TEMP"].t_s, np.arange(128) + 4 / 64)
@@ -69,7 +69,7 @@ def test_times_are_those_of_the_places_in_the_frame():
 
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(WORD_COUNTS), st.sampled_from(PACKINGS), st.integers(0, 95), st.integers(1, 20), st.data())
-def test_any_bits_of_any_frame_come_back(words, packing, before_bits, parameters, data):
+def test_any_frame_comes_back(words, packing, before_bits, parameters, data):
     """Parameters in random bits of random words, at random rates."""
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
     free = rng.permutation(np.arange(2, words))
@@ -101,7 +101,7 @@ MEANT_767 = {
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_every_value_of_an_arinc_767_recording_comes_back(seed):
+def test_every_767_value_comes_back(seed):
     raw = raw_767(seed, 60)
     series = read(frames_767(DEMO_767, raw), DEMO_767)
     for name, mean in MEANT_767.items():
@@ -116,7 +116,7 @@ def test_every_value_of_an_arinc_767_recording_comes_back(seed):
     ("name", "raw"),
     [("FREQUENCY", 0x00A0), ("UTC", 60), ("UTC", 60 << 6), ("UTC", 24 << 12), ("COMPUTED", 0x7FC00000)],
 )
-def test_bits_that_are_no_value_are_null(name, raw):
+def test_bits_without_value_are_null(name, raw):
     """A digit of ten, second or minute 60, hour 24, not a number."""
     samples = random_raw(DEMO_717, np.random.default_rng(1), 32)
     samples[name][5] = raw
@@ -149,7 +149,7 @@ REVISED = replace(DEMO_767, revision="DEMO_MAP_8")
 
 @pytest.mark.parametrize("words", WORD_COUNTS[1:])
 @pytest.mark.parametrize("packing", [PACKINGS[0], PACKINGS[2]], ids=["aligned", "stream"])
-def test_another_number_of_words_is_told(words, packing):
+def test_wrong_word_count_is_named(words, packing):
     data = uncounted(words, packing)
     with pytest.raises(MapError, match=f"the recording has {words:,} words a second, the map 64"):
         recognise(data, DEMO_717)
@@ -168,12 +168,12 @@ def test_another_number_of_words_is_told(words, packing):
         (written_767, REVISED, "the recording says '647A-00 DEMO_MAP_7', the map is 'DEMO_MAP_8'"),
     ],
 )
-def test_a_map_that_does_not_fit_is_told_by_what_disagrees(written, layout, message):
+def test_unfitting_map_names_disagreement(written, layout, message):
     with pytest.raises(MapError, match=message):
         recognise(written(), layout)
 
 
-def test_impossible_values_are_told():
+def test_impossible_values_are_refused():
     """All parameters a few words further on: the counter counts, but minutes, digits and temperatures can't be."""
     names = ["ALTITUDE", "PACK_TEMP", "FREQUENCY", "UTC"]
     parameters = {f"{n}{i}": replace(DEMO_717.parameters[n], name=f"{n}{i}") for n in names for i in range(4)}
@@ -189,7 +189,7 @@ def test_impossible_values_are_told():
         recognise(data, replace(DEMO_717, parameters=elsewhere))
 
 
-def test_floats_cut_at_the_wrong_bit_are_told():
+def test_misaligned_floats_are_refused():
     wide = DEMO_767.parameters["PRESSURE"]
     misaligned = {
         f"P{i}": replace(wide, name=f"P{i}", samples=(Sample(0.0, (Piece(0, 33 + i % 7, 32),)),)) for i in range(1, 17)
