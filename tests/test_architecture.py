@@ -16,7 +16,7 @@ OURS = ("hdt_core", "pipelines", "dagster_batched")
 MODULES = sorted(m.name for m in pkgutil.walk_packages(hdt_core.__path__, "hdt_core."))
 
 
-def test_no_science_module_loads_dagster_or_duckdb():
+def test_science_loads_no_pipeline():
     """In one fresh interpreter, module by module: the first that drags a pipeline in is named."""
     script = (
         "import importlib, sys\n"
@@ -29,7 +29,7 @@ def test_no_science_module_loads_dagster_or_duckdb():
     assert done.returncode == 0, done.stderr
 
 
-def test_the_top_level_is_as_agreed():
+def test_top_level_is_as_agreed():
     root = Path(__file__).parents[1]
     for name in (
         "pipelines",
@@ -66,7 +66,7 @@ def circle(graph: Mapping[str, set[str]]) -> list[str]:
     return []
 
 
-def test_no_modules_import_each_other_in_a_circle_and_one_would_be_found(tmp_path):
+def test_no_modules_import_in_circle(tmp_path):
     """Imports inside a function and for a type checker count too: they may wait, not hide a circle."""
     root = Path(__file__).parents[1]
     files = {p: p.relative_to(root).with_suffix("") for name in OURS for p in (root / name).rglob("*.py")}
@@ -81,7 +81,7 @@ def test_no_modules_import_each_other_in_a_circle_and_one_would_be_found(tmp_pat
     assert set(cycle) == {"a", "b", "c"}
 
 
-def test_dagsters_private_api_is_used_in_one_place_below_a_short_root():
+def test_private_dagster_stays_below_root():
     root = Path(__file__).parents[1]
     sources = [p for name in ("hdt_core", "pipelines") for p in (root / name).rglob("*.py")]
     private = re.compile(r"^\s*(from|import) dagster\w*\._", re.MULTILINE)
@@ -98,7 +98,7 @@ def private(path: Path) -> set[str]:
     return {n for n in names if re.match(r"dagster\w*\.", n) and not n.startswith("dagster_batched.")}
 
 
-def test_dagsters_private_api_stays_in_one_folder_whose_page_lists_it():
+def test_page_lists_private_dagster():
     root = Path(__file__).parents[1]
     rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", (root / "dagster_batched/README.md").read_text(), re.MULTILINE)
     listed = {name: set(re.findall(r"`(dagster\w*\.[\w.]+)`", cells)) - {"dagster.yaml"} for name, cells in rows}
@@ -121,7 +121,7 @@ MANY_TO_MANY = {
 """Where a join makes more rows than it was given, and why; what is not wanted is filtered out at once."""
 
 
-def test_a_join_that_must_not_multiply_rows_says_so_and_one_without_would_be_found():
+def test_joins_declare_cardinality():
     """Polars fails at once where rows do not match as declared; a doubled key once took 18 GB of memory."""
     many, top = set(), Path(hdt_core.__file__).parents[1]
     for path in (p for room in ("hdt_core", "pipelines", "dagster_batched") for p in (top / room).rglob("*.py")):

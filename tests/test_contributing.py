@@ -106,7 +106,7 @@ def python(tree: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=tree, env=env, capture_output=True, text=True, timeout=500, check=False)
 
 
-def test_the_suite_takes_what_was_added(tree):
+def test_suite_takes_additions(tree):
     """Contract of estimators, declared features, order of stages, views and their meanings."""
     relevant = (
         "tests/hdt_core/estimation/test_estimators.py",
@@ -120,7 +120,7 @@ def test_the_suite_takes_what_was_added(tree):
         assert added in done.stdout
 
 
-def test_a_night_makes_them(tree, tmp_path):
+def test_night_makes_additions(tree, tmp_path):
     landing, aircraft = tmp_path / "landing", "AQX/LX-AAB"
     acms = ROOT / "data_samples" / aircraft / "acms"
     (landing / aircraft / "acms").mkdir(parents=True)

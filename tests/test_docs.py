@@ -63,13 +63,13 @@ def test_worked_examples_hold(name):
 
 
 @pytest.mark.parametrize(("page", "words"), COMMANDS, ids=[" ".join(w[:1]) + f"-{p.stem}" for p, w in COMMANDS])
-def test_a_command_of_the_documentation_is_taken_as_it_stands(page, words):
+def test_documented_command_is_accepted(page, words):
     command = typer.main.get_command(app)
     name, sub, rest = command.resolve_command(typer.Context(command), words)
     sub.make_context(name, rest)
 
 
-def test_the_queries_of_the_documentation_answer_and_its_tables_are_read(sample_home):
+def test_documented_queries_answer(sample_home):
     # a component of one's own is not in the sample: tests/pipelines/test_own_component.py asks that page's
     queries = [w[-1] for p, w in COMMANDS if w[0] == "query" and p.stem != "howto-component"]
     with connect(sample_home) as con:
@@ -86,7 +86,7 @@ def test_the_queries_of_the_documentation_answer_and_its_tables_are_read(sample_
     assert namespace["worn"].width == 4
 
 
-def test_the_tutorials_python_runs(sample_home, monkeypatch):
+def test_tutorial_python_runs(sample_home, monkeypatch):
     (code,) = [b for b in blocks(ROOT / "docs/tutorial.md") if b.startswith("import duckdb")]
     monkeypatch.chdir(sample_home)
     namespace: dict[str, object] = {}
@@ -103,7 +103,7 @@ def run_python(page: str) -> dict[str, Any]:
     return names
 
 
-def test_equations_from_files_give_the_papers_line(monkeypatch):
+def test_file_equations_give_papers_line(monkeypatch):
     monkeypatch.chdir(ROOT)
 
     names = run_python("howto-equations.md")
@@ -141,7 +141,7 @@ def site(target: Path) -> Path:
     return target
 
 
-def test_the_site_is_whole_and_asks_nothing_of_the_network(tmp_path):
+def test_site_fetches_nothing_elsewhere(tmp_path):
     """`--strict`: no page, link or anchor may be missing."""
     pages = list(site(tmp_path).rglob("*.html"))
     assert len(pages) > 15
@@ -156,7 +156,7 @@ def fetched(pages: list[Path], pattern: str) -> dict[str, list[str]]:
     return {p.name: links for p in pages if (links := re.findall(pattern, p.read_text(encoding="utf-8")))}
 
 
-def test_no_page_fetches_from_elsewhere_links_hold_and_every_room_has_its_page():
+def test_pages_fetch_nothing_elsewhere():
     """What the site adds to the pages is seen where it is built, in the long tests; its fonts are the browser's."""
     written = rf"{FETCHED}|!\[[^\]]*\]\(https?:|url\([\"']?http|@import"
     assert fetched([*PAGES, *(ROOT / "docs").glob("*.css")], written) == {}
@@ -170,7 +170,7 @@ def test_no_page_fetches_from_elsewhere_links_hold_and_every_room_has_its_page()
     assert {words[0] for _, words in COMMANDS} >= {c.name or c.callback.__name__ for c in app.registered_commands}
 
 
-def test_backup_restores_the_home(own_home, tmp_path):
+def test_backup_restores_home(own_home, tmp_path):
     """Line by line as the page has it, under other names."""
     landing, home = own_home
     before = fingerprint(home)

@@ -64,14 +64,14 @@ def defined(symbol: str, paths: list[Path]) -> bool:
     return any(pattern.search(f.read_text(encoding="utf-8")) for f in files)
 
 
-def test_every_equation_table_and_figure_has_a_row():
+def test_every_paper_item_has_row():
     items = [numbers(row.item) for row in ROWS]
     assert set().union(*items) == ITEMS
     assert sum(map(len, items)) == len(ITEMS)
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.item)
-def test_what_a_row_names_is_there(row):
+def test_row_names_present_code(row):
     (code, symbols), (tests, _), (plots, plotted) = (
         named(row.code, "hdt_core"), named(row.test, TESTS), named(row.plot, "."),
     )  # fmt: skip
@@ -82,12 +82,12 @@ def test_what_a_row_names_is_there(row):
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.item.startswith("eq")], ids=lambda row: row.item)
-def test_an_equations_functions_are_called_by_its_tests(row):
+def test_tests_call_functions_of_equation(row):
     tests = "\n".join(f.read_text(encoding="utf-8") for f in named(row.test, TESTS)[0])
     assert [s for s in named(row.code, "hdt_core")[1] if s not in tests] == []
 
 
-def test_methods_that_the_paper_cites_are_where_it_says():
+def test_cited_methods_are_in_place():
     below = PAGE[PAGE.rindex("| [physics from an FMU]") :]
     assert len(named(below, "hdt_core")[0]) == 7
 
@@ -100,7 +100,7 @@ NOMENCLATURE = [
 TERMS = {name: (row[2], row[4].strip("`")) for row in NOMENCLATURE for name in re.findall(r"`(\w+)`", row[1])}
 
 
-def test_nomenclature_has_every_signal_and_parameter_of_the_pack_with_its_declared_unit():
+def test_nomenclature_has_declared_units():
     declared = [
         item
         for code in ("HX", "CC")
@@ -115,5 +115,5 @@ def test_nomenclature_has_every_signal_and_parameter_of_the_pack_with_its_declar
 
 
 @pytest.mark.parametrize("name", TERMS)
-def test_a_name_of_the_nomenclature_stands_where_it_says(name):
+def test_nomenclature_name_stands_in_place(name):
     assert re.search(rf"\b{name}\b", (ROOT / "hdt_core" / TERMS[name][1]).read_text(encoding="utf-8"))

@@ -52,7 +52,7 @@ def wheel(tmp_path_factory) -> Path:
     return next(target.glob("*.whl"))
 
 
-def test_it_carries_what_is_no_python_and_says_that_it_is_typed(wheel):
+def test_wheel_carries_data_files(wheel):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert wheel.name.startswith(f"hybrid_digital_twin-{project['version']}-")
     names = set(zipfile.ZipFile(wheel).namelist())
@@ -70,7 +70,7 @@ def test_it_carries_what_is_no_python_and_says_that_it_is_typed(wheel):
     assert not {h for h in names if h.startswith(("tests", "benchmarks", "docs"))}
 
 
-def test_it_carries_every_page_that_a_message_points_at(wheel):
+def test_wheel_carries_referenced_pages(wheel):
     """Messages say `hdt docs PAGE`; none names a file that only a checkout has."""
     names = set(zipfile.ZipFile(wheel).namelist())
     sources = [*(ROOT / "hdt_core").rglob("*.py"), *(ROOT / "pipelines").rglob("*.py")]
@@ -94,7 +94,7 @@ def _messages(tree: ast.Module) -> list[ast.Constant]:
     return [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in docstrings]
 
 
-def test_its_demo_runs_outside_the_repository(wheel, sample_home, tmp_path):
+def test_demo_runs_outside_repository(wheel, sample_home, tmp_path):
     site, out = tmp_path / "site", tmp_path / "elsewhere"
     zipfile.ZipFile(wheel).extractall(site)
     out.mkdir()
