@@ -3,6 +3,7 @@
 import tomllib
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from benchmarks import chain, ledger
@@ -33,8 +34,9 @@ def test_entry_can_be_changed(constant):
 def test_ledger_lists_every_number():
     """As an entry, or among those that are settled, once."""
     entries = {f"{c.module.removeprefix('hdt_core.')}:{c.path}" for c in ledger.ledger()}
-    settled = {name for names in LEDGER["settled"].values() for name in names}
-    assert sum(len(names) for names in LEDGER["settled"].values()) == len(settled)
+    listed = [name for names in LEDGER["settled"].values() for name in names]
+    settled = set(listed)
+    assert len(listed) == len(settled)
     there = set()
     for file in (f for room in ROOMS for f in (ledger.ROOT / "hdt_core" / room).glob("*.py")):
         module = f"{file.parent.name}.{file.stem}"
@@ -71,32 +73,56 @@ def test_unknown_constant_is_refused():
         changed("A = 1", "B", 2.0)
 
 
-def test_chain_in_memory_equals_night(sample_home):
-    """Health, prognoses and alerts are those that the night stored."""
-    tables, store = chain.run(read_record(sample_home)), Store(sample_home)
-    key = ["operator", "tail", "flight_id", "pack"]
-    beside = {"suffix": "_stored", "validate": "1:1"}
-    health = tables["health"].join(store.read_table("twin_health"), on=[*key, "parameter"], **beside)
-    assert health.height == tables["health"].height
-    assert all((health[name] - health[f"{name}_stored"]).abs().max() < 1e-9 for name in ("value", "sd"))
-    prognoses = tables["prognoses"].join(store.read_table("prognoses"), on=[*key, "component"], **beside)
-    assert prognoses.height == tables["prognoses"].height
-    assert (prognoses["rul_flights"] - prognoses["rul_flights_stored"]).abs().max() < 1e-6
-    alerts = ("alert_id", "raised_flight_id", "diagnosis")
-    stored = store.read_table("features_alerts")
-    assert set(tables["alerts"].select(alerts).iter_rows()) == set(stored.select(alerts).iter_rows())
+KEY = ["operator", "tail", "flight_id", "pack"]
+
+
+@pytest.fixture(scope="module")
+def tables(sample_home) -> dict[str, pl.DataFrame]:
+    """What the chain makes of the sample's record in memory."""
+    return chain.run(read_record(sample_home))
+
+
+def joined_to_stored(rows: pl.DataFrame, home: Path, table: str, kind: str) -> pl.DataFrame:
+    """Rows beside those that the night stored, one to one."""
+    joined = rows.join(Store(home).read_table(table), on=[*KEY, kind], suffix="_stored", validate="1:1")
+    assert joined.height == rows.height
+    return joined
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "kind", "column", "apart"),
+    [
+        ("health", "twin_health", "parameter", "value", 1e-9),
+        ("health", "twin_health", "parameter", "sd", 1e-9),
+        ("prognoses", "prognoses", "component", "rul_flights", 1e-6),
+    ],
+)
+def test_chain_in_memory_equals_night(tables, sample_home, name, table, kind, column, apart):
+    both = joined_to_stored(tables[name], sample_home, table, kind)
+    assert (both[column] - both[f"{column}_stored"]).abs().max() < apart
+
+
+def test_chain_raises_alerts_of_night(tables, sample_home):
+    columns = ("alert_id", "raised_flight_id", "diagnosis")
+    stored = Store(sample_home).read_table("features_alerts")
+    assert set(tables["alerts"].select(columns).iter_rows()) == set(stored.select(columns).iter_rows())
 
 
 def test_missing_run_keeps_published_cell(tmp_path, monkeypatch):
-    page, results = tmp_path / "constants.md", tmp_path / "results.jsonl"
+    page = tmp_path / "constants.md"
+    results = tmp_path / "results.jsonl"
     page.write_text("<!-- ledger: begin -->\n<!-- ledger: end -->\n")
     monkeypatch.setattr(ledger, "PAGE", page)
     first, second = (f"{c.module}:{c.path}" for c in ledger.ledger()[:2])
     base = dict.fromkeys(ledger.MOVES, 1.0)
-    ledger._note(results, {"fleet": "A", "at": "", "factor": 1.0, "figures": base})
-    ledger._note(results, {"fleet": "A", "at": first, "factor": 0.5, "figures": base | {"lead": 50.0}})
+
+    def note(at: str, factor: float, **figures: float) -> None:
+        ledger._note(results, {"fleet": "A", "at": at, "factor": factor, "figures": base | figures})
+
+    note("", 1.0)
+    note(first, 0.5, lead=50.0)
     put("ledger", ledger.table(results), page)
-    ledger._note(results, {"fleet": "A", "at": second, "factor": 0.5, "figures": base | {"lead": -50.0}})
+    note(second, 0.5, lead=-50.0)
     rows = [row for row in results.read_text().splitlines(keepends=True) if first not in row]
     results.write_text("".join(rows))
     put("ledger", ledger.table(results), page)

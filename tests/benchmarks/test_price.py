@@ -49,7 +49,7 @@ def test_renewal_is_unneeded_from_300_flights(left_after, unneeded):
 
 @pytest.mark.parametrize(("day", "failed"), [(date(2024, 1, 31), True), (date(2024, 1, 30), False)])
 def test_message_counts_from_its_day(day, failed):
-    known = as_of(FAILED[2], day)
+    record = as_of(FAILED[2], day)
 
-    assert known["failed"].all() == failed
-    assert known["remaining"].to_list()[0] == known.height
+    assert record["failed"].all() == failed
+    assert record["remaining"].to_list()[0] == record.height

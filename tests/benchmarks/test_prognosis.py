@@ -21,18 +21,21 @@ def life(number: int, flights: int, risk: np.ndarray, loss: np.ndarray, failed: 
     )
 
 
+LOSS = np.linspace(0.0, 0.4, 401)
+INFORMED = pl.concat([life(n, 401, LOSS, LOSS) for n in range(4)])
+
+
 def test_informed_risk_alerts_where_budget_ends():
-    loss = np.linspace(0.0, 0.4, 401)
-    risks = pl.concat([life(n, 401, loss, loss) for n in range(4)])
-    median, tenth, early = lead_at_budget(risks, early_per_1000=0.0)
+    median, tenth, early = lead_at_budget(INFORMED, early_per_1000=0.0)
     assert early == 0.0
-    assert median == tenth
     # with no early alert allowed the best threshold is 15 % itself, 251 flights before the end
-    assert median == pytest.approx(250, abs=8)
+    assert median == tenth == pytest.approx(250, abs=8)
+
+
+def test_uninformed_risk_leads_less():
     noise = np.random.default_rng(0).random((4, 401))
-    risks = pl.concat([life(n, 401, noise[n], loss) for n in range(4)])
-    informed = pl.concat([life(n, 401, loss, loss) for n in range(4)])
-    assert lead_at_budget(risks)[0] < 0.7 * lead_at_budget(informed)[0]
+    uninformed = pl.concat([life(n, 401, noise[n], LOSS) for n in range(4)])
+    assert lead_at_budget(uninformed)[0] < 0.7 * lead_at_budget(INFORMED)[0]
 
 
 @pytest.mark.parametrize("seed", range(9000, 9003))
@@ -98,13 +101,13 @@ def test_failure_is_alerted_within_300_flights(alert, alerted, right):
 
 def test_only_true_fault_makes_alert_right():
     worn = (pl.col("index") >= 300).cast(pl.Float64) * 0.16
-    truth = {"apparent_ua_ratio": 1.0 - worn}
     raised = [("HX_FOULING", 100, None), ("HX_FOULING", 99, None), ("SENSOR_FAULT", 350, None)]
-    scores = tally(fleet(raised, [], **truth))
-    assert scores.alerts["right"].to_list() == [False, True, False]
-    assert scores.alerts["own"].to_list() == [False, False, False]
-    assert scores.alerts["any_cause"].to_list() == [False, False, True]
-    assert scores.alerts["early"].to_list() == [True, True, False]
+    alerts = tally(fleet(raised, [], apparent_ua_ratio=1.0 - worn)).alerts
+    assert alerts.select("right", "own", "any_cause", "early").rows() == [
+        (False, False, False, True),
+        (True, False, False, True),
+        (False, False, True, False),
+    ]
 
 
 def test_rates_count_flights_once():
@@ -114,9 +117,17 @@ def test_rates_count_flights_once():
     per_1000 = 1000.0 / FLIGHTS
     assert figures["false"] == pytest.approx(2 * per_1000)  # fouling on a sound core, and the compressor
     assert figures["early"] == pytest.approx(per_1000)  # not the alert of low margin, whose message came
+
+
+@pytest.mark.parametrize(
+    ("raised", "expected"),
+    [
+        (110, {"alerted": 1.0, "lead or delay, median": 10.0, "right within 200": 1.0}),
+        (153, {"alerted": 0.0, "right within 200": 0.0}),
+    ],
+)
+def test_door_fault_alerts_while_present(raised, expected):
     fault = {"component": "RAM_DOOR", "onset_index": 100, "removal_index": 150}
-    there = {"door_fault": pl.col("index").is_between(100, 149)}
-    scores = (tally(fleet([("RAM_DOOR_FAULT", k, None)], [fault], **there)) for k in (110, 153))
-    inside, after = (figures_of(s, "RAM_DOOR") for s in scores)
-    assert (inside["alerted"], inside["lead or delay, median"], inside["right within 200"]) == (1.0, 10.0, 1.0)
-    assert (after["alerted"], after["right within 200"]) == (0.0, 0.0)
+    faulty = pl.col("index").is_between(100, 149)
+    figures = figures_of(tally(fleet([("RAM_DOOR_FAULT", raised, None)], [fault], door_fault=faulty)), "RAM_DOOR")
+    assert {name: figures[name] for name in expected} == expected
