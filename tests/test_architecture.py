@@ -123,7 +123,8 @@ MANY_TO_MANY = {
 
 def test_joins_declare_cardinality():
     """Polars fails at once where rows do not match as declared; a doubled key once took 18 GB of memory."""
-    many, top = set(), Path(hdt_core.__file__).parents[1]
+    many = set()
+    top = Path(hdt_core.__file__).parents[1]
     for path in (p for room in ("hdt_core", "pipelines", "dagster_batched") for p in (top / room).rglob("*.py")):
         for where, how in joins(ast.parse(path.read_text(encoding="utf-8"))):
             assert how in ("m:1", "1:1", "m:m"), f"{path.relative_to(top)}:{where} declares no cardinality"

@@ -121,7 +121,8 @@ def test_suite_takes_additions(tree):
 
 
 def test_night_makes_additions(tree, tmp_path):
-    landing, aircraft = tmp_path / "landing", "AQX/LX-AAB"
+    landing = tmp_path / "landing"
+    aircraft = "AQX/LX-AAB"
     acms = ROOT / "data_samples" / aircraft / "acms"
     (landing / aircraft / "acms").mkdir(parents=True)
     for file in sorted(acms.glob("*.csv"))[-6:]:

@@ -42,7 +42,8 @@ for words in (
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
     """Built from a copy, so that nothing is left in the repository."""
-    source, target = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    source = tmp_path_factory.mktemp("source")
+    target = tmp_path_factory.mktemp("wheel")
     for name in ("hdt_core", "pipelines", "dagster_batched", "sql"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
@@ -95,7 +96,8 @@ def _messages(tree: ast.Module) -> list[ast.Constant]:
 
 
 def test_demo_runs_outside_repository(wheel, sample_home, tmp_path):
-    site, out = tmp_path / "site", tmp_path / "elsewhere"
+    site = tmp_path / "site"
+    out = tmp_path / "elsewhere"
     zipfile.ZipFile(wheel).extractall(site)
     out.mkdir()
     keep_base(sample_home, out / "home")

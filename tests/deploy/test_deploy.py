@@ -99,7 +99,8 @@ def test_cluster_manifests_fit_together():
         assert named
         assert {(kind, name) for name in named} <= names
     (inside,) = [d["data"]["dagster.yaml"] for d in documents if "dagster.yaml" in d.get("data", {})]
-    ours, celery = yaml.safe_load(inside), yaml.safe_load((ROOT / "deploy/celery.yaml").read_text())
+    ours = yaml.safe_load(inside)
+    celery = yaml.safe_load((ROOT / "deploy/celery.yaml").read_text())
     alike = ("event_log_storage", "run_storage", "schedule_storage", "run_coordinator", "run_monitoring", "run_retries")
     assert {k: ours[k] for k in alike} == {k: celery[k] for k in alike}
     assert ours["run_launcher"]["class"] == "K8sRunLauncher"

@@ -38,7 +38,8 @@ class AnyOrder(RuleBasedStateMachine):
         super().__init__()
         AnyOrder.count += 1
         own = self.root / str(self.count)
-        self.landing, self.home = own / "landing", self.children.home(own / "home")
+        self.landing = own / "landing"
+        self.home = self.children.home(own / "home")
         self.acms = ZONE.folder(self.landing) / "acms"
         drop_fleet(self.landing, [ZONE])
         ZONE.drop_papers(self.landing)
@@ -58,7 +59,8 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule(flight=FLIGHTS)
     def deliver_once_more(self, flight: str) -> None:
-        one, two = self.acms / f"{flight}.csv", f"{flight} (1).csv"
+        one = self.acms / f"{flight}.csv"
+        two = f"{flight} (1).csv"
         if one.exists():
             shutil.copy(one, self.acms / two)
             (self.good[flight].add if one.name in self.good[flight] else self.good[flight].discard)(two)
@@ -128,7 +130,9 @@ class AnyOrder(RuleBasedStateMachine):
 
 
 def test_any_order_ends_as_modelled(children, intact, tmp_path):
-    AnyOrder.children, AnyOrder.intact, AnyOrder.root = children, staticmethod(intact), tmp_path
+    AnyOrder.children = children
+    AnyOrder.intact = staticmethod(intact)
+    AnyOrder.root = tmp_path
     known = {"derandomize": True, "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
     how = settings(max_examples=EXAMPLES, stateful_step_count=9, **known)
     run_state_machine_as_test(AnyOrder, settings=how)
@@ -137,7 +141,8 @@ def test_any_order_ends_as_modelled(children, intact, tmp_path):
 @pytest.mark.parametrize("goes", ["taken away", "replaced", "broken"])
 def test_killed_night_keeps_its_account(children, intact, tmp_path, goes):
     """Killed when the rows were stored and their account was not."""
-    landing, home = tmp_path / "landing", children.home(tmp_path / "home")
+    landing = tmp_path / "landing"
+    home = children.home(tmp_path / "home")
     drop_fleet(landing, [ZONE])
     ZONE.drop_history(landing)
     assert children.night(landing, home, steps=INTAKE, fault="before_mark:7")[0] == signal.SIGKILL

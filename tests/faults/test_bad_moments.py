@@ -51,7 +51,7 @@ def night(landing: Path, home: Path):
 
 def disturbed_night(landing: Path, home: Path, happen: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch):
     """A night at which something happens to the landing zone after its scan; later the zone is as it was."""
-    kept = shutil.copytree(landing, landing.with_name("kept"), copy_function=shutil.copy2)
+    copy = shutil.copytree(landing, landing.with_name("copy"), copy_function=shutil.copy2)
 
     def scan(*arguments):
         zone = real(*arguments)
@@ -63,7 +63,7 @@ def disturbed_night(landing: Path, home: Path, happen: Callable[[Path], None], m
         within.setattr(nightly, "scan", scan)
         result = night(landing, home)
     shutil.rmtree(landing)
-    kept.rename(landing)
+    copy.rename(landing)
     return result
 
 

@@ -112,7 +112,9 @@ def with_ledger(request, own, monkeypatch) -> Iterator[Path]:
 
 def forget(home: Path, stage: str) -> None:
     """Take away what a stage has stored of the aircraft, of its first two flights if it goes by flight."""
-    own, flights, tables = (ZONE.operator, ZONE.tail), ZONE.flights[:2], list(STAGE[stage].tables)
+    own = (ZONE.operator, ZONE.tail)
+    flights = ZONE.flights[:2]
+    tables = list(STAGE[stage].tables)
     for table in tables:
         if STAGE[stage].grain == "flight":
             Store(home).merge(table, {own: flights}, TABLES[table].schema.create_empty())
@@ -140,7 +142,8 @@ def stored(home: Path, stage: str) -> tuple[dict[str, str], list[list[tuple]]]:
 
 @pytest.mark.parametrize(("stage", "nths"), [("twin_health", (0, 0)), ("legs", (0, 0)), ("legs", (0, 1))])
 def test_parallel_page_runs_end_as_serial(with_ledger, stage, nths):
-    home, spawn = with_ledger / "home", multiprocessing.get_context("spawn")
+    home = with_ledger / "home"
+    spawn = multiprocessing.get_context("spawn")
     forget(home, stage)
     assert all(run_from_page(with_ledger, stage, nth) for nth in nths)
     expected = stored(home, stage)

@@ -53,7 +53,8 @@ class Whole:
 @pytest.fixture(scope="module")
 def whole(children, tmp_path_factory) -> Whole:
     root = tmp_path_factory.mktemp("whole")
-    landing, home = root / "landing", children.home(root / "home")
+    landing = root / "landing"
+    home = children.home(root / "home")
     zones = [simulated(seed, 5, operator="QQX", tail=tail) for seed, tail in ((5, "Z9"), (6, "Z8"))]
     drop_fleet(landing, zones)
     for zone in zones:
@@ -97,7 +98,8 @@ def damage(chance: random.Random, home: Path, kind: str) -> tuple[str, str, str]
         os.truncate(file, chance.randrange(file.stat().st_size))
     elif way == "swap" and len(files) > 1:
         other = chance.choice([f for f in files if f != file])
-        one, two = file.read_bytes(), other.read_bytes()
+        one = file.read_bytes()
+        two = other.read_bytes()
         file.write_bytes(two)
         other.write_bytes(one)
     else:
@@ -108,7 +110,8 @@ def damage(chance: random.Random, home: Path, kind: str) -> tuple[str, str, str]
 
 def flip(file: Path, at: int, bits: int = 1, *, as_disks_do: bool = True) -> None:
     """Change bits of a byte; disks keep the time."""
-    before, content = file.stat(), bytearray(file.read_bytes())
+    before = file.stat()
+    content = bytearray(file.read_bytes())
     content[at] ^= bits
     file.write_bytes(content)
     if as_disks_do:
@@ -187,7 +190,8 @@ def test_night_repairs_file_doctor_names(whole, children, tmp_path):
 def test_idle_nights_notice_rot_in_turn(whole, children, tmp_path):
     home = tmp_path / "home"
     (file,) = rotten(whole, home, "residuals")  # read by no stored view: those are checked when a home has moved
-    name, ledger = str(file.relative_to(home / "tables")), Ledger(home)
+    name = str(file.relative_to(home / "tables"))
+    ledger = Ledger(home)
     while not seal.files_to_read([name], ledger.nights().height + 1):
         ledger.note_night(ledger.nights().row(-1))
     assert children.night(whole.landing, home) == (0, "")
@@ -205,7 +209,8 @@ def test_cycle_checks_each_file_once():
 
 def test_working_night_mends_rotten_tables(whole, children, tmp_path):
     """Of a raw table, of one whose rows others are made of, and of one that is made last."""
-    clean, home = Path(shutil.copytree(whole.home, tmp_path / "clean")), tmp_path / "home"
+    clean = Path(shutil.copytree(whole.home, tmp_path / "clean"))
+    home = tmp_path / "home"
     rotten(whole, home, "raw_snapshots", "twin_health", "features_margin")
     (home / "tables/raw_flights" / LOG / "_last_checkpoint").write_text('{"version": 7, "size": 3}')  # was 1
     assert children.night(whole.later, clean) == (0, "")
@@ -222,10 +227,9 @@ def test_rotten_file_gives_no_answer(whole, tmp_path):
     rotten(whole, home, "features")
     with connect(home) as con:
         assert con.sql("select count(*) from flights").fetchall() == [(8,)]
-        whole, view, count = "* from features", "* from (select * from routes)", 'count(*) from tables."features"'
-        for query in (f"select {what}" for what in (whole, view, count)):
+        for what in ("* from features", "* from (select * from routes)", 'count(*) from tables."features"'):
             with pytest.raises(StoreError, match="is not what was written; `hdt nightly` makes it again"):
-                con.execute(query)
+                con.execute(f"select {what}")
 
 
 def test_unreadable_file_is_named(whole, tmp_path):

@@ -60,7 +60,8 @@ def test_unwritable_home_stays_as_is(children):
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         root.chmod(0o755)
-        landing, home = root / "landing", children.home(root / "home")
+        landing = root / "landing"
+        home = children.home(root / "home")
         landing.mkdir()
         (landing / "fleet.csv").write_text("operator,tail\nQQX,Z9\n")
         before = {f: f.stat().st_mtime_ns for f in home.rglob("*")}
@@ -98,7 +99,8 @@ def test_disk_error_takes_one_line(monkeypatch, tmp_path, error, line):
 def test_file_is_synced_before_naming(tmp_path, monkeypatch):
     """A power cut drops what was not synced: content is synced before it is named, the name before it is told."""
     done = []
-    sync, replace = os.fsync, Path.replace
+    sync = os.fsync
+    replace = Path.replace
 
     def watched_sync(fd: int) -> None:
         done.append(f"sync {Path(os.readlink(f'/proc/self/fd/{fd}')).name}")
@@ -121,7 +123,8 @@ def test_databases_sync_each_commit(tmp_path):
     with Ledger(tmp_path)._database.transaction() as con:
         assert con.execute("pragma synchronous").fetchone() == (FULL,)
     with open_instance(tmp_path) as instance:
-        log, runs = instance.event_log_storage, instance.run_storage
+        log = instance.event_log_storage
+        runs = instance.run_storage
         for open_one in (log.index_connection, runs.connect, lambda: log.run_connection("a-run")):
             with open_one() as con:
                 assert con.exec_driver_sql("pragma synchronous").scalar() == FULL

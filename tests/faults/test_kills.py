@@ -52,9 +52,12 @@ def test_kill_at_intake_loses_nothing(tiny, children, intact, tmp_path, point):
 
 
 def test_kill_at_any_moment_loses_nothing(tiny, children, intact, tmp_path):
-    chance, kills, homes = random.Random(7), 0, 0
+    chance = random.Random(7)
+    kills = 0
+    homes = 0
     while kills < KILLS:
-        home, homes = children.home(tmp_path / f"home{homes}"), homes + 1
+        home = children.home(tmp_path / f"home{homes}")
+        homes += 1
         ended: int | None = signal.SIGKILL
         while ended == signal.SIGKILL:
             after_s = 600 if kills >= KILLS else chance.uniform(0.05, 1.0) * 2 ** chance.randrange(4)
@@ -90,7 +93,8 @@ def test_stopped_night_loses_nothing(tiny, children, intact, tmp_path):
 def test_readers_meet_whole_catalogs_only(tiny, children, tmp_path):
     home = children.home(tmp_path / "home")
     assert children.night(tiny.landing, home, steps=steps_up_to("legs")) == (0, "")
-    over, answers = threading.Event(), []
+    over = threading.Event()
+    answers = []
 
     def read() -> None:
         while not over.is_set():

@@ -21,7 +21,8 @@ ZONE = simulated(5, 4, operator="QQX", tail="Z9")
 def two(children, tmp_path_factory) -> Path:
     """A landing zone, a home after two nights over it, and that home after the first. Read only."""
     root = tmp_path_factory.mktemp("two")
-    landing, home = root / "landing", children.home(root / "home")
+    landing = root / "landing"
+    home = children.home(root / "home")
     drop_fleet(landing, [ZONE])
     ZONE.drop_papers(landing)
     ZONE.only(ZONE.flights[:3]).drop_csv(landing)
@@ -111,7 +112,8 @@ def test_doubled_shard_is_made_again(own, third, children):
 
 def flip_removed(commit: Path) -> None:
     """Change a letter of the hash in a removed file's name."""
-    before, content = commit.stat(), commit.read_text()
+    before = commit.stat()
+    content = commit.read_text()
     start = content.index('"path":"', content.index('"remove"'))
     place = content.index(".parquet", start) - 1
     letter = "1" if content[place] == "0" else "0"

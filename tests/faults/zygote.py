@@ -33,7 +33,8 @@ from pipelines.storage.publication import publish  # noqa: E402
 
 def work(request: dict) -> None:
     """One child's life."""
-    landing, home = Path(request["landing"]), Path(request["home"])
+    landing = Path(request["landing"])
+    home = Path(request["home"])
     if "fault" in request:
         fault_points.arm(request["fault"], cut_of(home, **request["cut"]) if "cut" in request else None)
     if "file_limit" in request:

@@ -41,7 +41,8 @@ def watched(tmp_path_factory: pytest.TempPathFactory, sample_home: Path) -> Watc
 
 def _watch_a_night(root: Path, sample_home: Path) -> None:
     root.mkdir()
-    landing, home = root / "landing", root / "home"
+    landing = root / "landing"
+    home = root / "home"
     zone = simulated(5, 3, operator="QQX", tail="Z9")
     drop_fleet(landing, [zone])
     zone.drop_csv(landing)
@@ -50,7 +51,8 @@ def _watch_a_night(root: Path, sample_home: Path) -> None:
     keep_base(sample_home, home)
     script = Path(__file__).with_name("night_under_watch.py")
     secrets = {"DAGSTER_PG_PASSWORD": CANARY, "AWS_SECRET_ACCESS_KEY": CANARY}
-    command, env = [sys.executable, script, landing, home, root / "told.json"], os.environ | secrets
+    command = [sys.executable, script, landing, home, root / "told.json"]
+    env = os.environ | secrets
     done = subprocess.run(command, env=env, capture_output=True, text=True, cwd=root, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     report = json.loads((root / "told.json").read_text())

@@ -21,7 +21,8 @@ def bill(lock: str) -> subprocess.CompletedProcess[str]:
 
 def test_bill_names_every_pinned_package():
     lock = (GATE.parents[1] / "requirements.lock").read_text()
-    one, two = bill(lock), bill(lock)
+    one = bill(lock)
+    two = bill(lock)
     assert one.stdout == two.stdout
     document = json.loads(one.stdout)
     assert (document["bomFormat"], document["specVersion"]) == ("CycloneDX", "1.5")

@@ -28,7 +28,8 @@ from pipelines.storage.store import FLEET, Store
 from pipelines.storage.view_headers import tables_read, views
 
 KEY = b"canary-key-5e0d-tell-nobody"
-OWN, OTHER = ("AQX", "LX-AAB"), ("BZR", "A9-BAC")
+OWN = ("AQX", "LX-AAB")
+OTHER = ("BZR", "A9-BAC")
 EVERYTHING = AccessScope(None, None, frozenset(), frozenset(), frozenset())
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
@@ -149,7 +150,8 @@ def test_pseudonymised_export_identifies_nobody(given_away, home, operator, form
 
 
 def test_pseudonyms_change_only_names(given_away, home):
-    plain, masked = given_away(None, None, "parquet"), given_away(None, KEY, "parquet")
+    plain = given_away(None, None, "parquet")
+    masked = given_away(None, KEY, "parquet")
     assert plain.rows == masked.rows
     for view in ("health_parameters", "residuals", "features", "fleet_ranking"):
         numbers = [f.frame(view).select(pl.selectors.numeric()) for f in (plain, masked)]
@@ -195,7 +197,8 @@ KILLED = "from benchmarks.fault_points import arm; arm('before_rename:1'); from 
 
 
 def test_export_is_whole_or_absent(home, tmp_path, monkeypatch):
-    out, words = tmp_path / "out", ["export", "--home", home, "--view", "flights", "--out", tmp_path / "out"]
+    out = tmp_path / "out"
+    words = ["export", "--home", home, "--view", "flights", "--out", tmp_path / "out"]
 
     def kill_export() -> int:
         return subprocess.run([sys.executable, "-c", KILLED, *words], capture_output=True, check=False).returncode

@@ -94,7 +94,8 @@ def test_unpriced_choices_have_only_chances():
 @pytest.mark.parametrize(("days", "between"), [(10, (25, 50)), (30, (50, 100)), (50, (100, 200)), (1, (0, 25))])
 def test_chance_follows_prognosis_points(days, between):
     name, flights, chance, cost, _, status = stop(check=days)["defer"]
-    low, high = ({0: 0.0} | POINTS)[between[0]], POINTS[between[1]]
+    low = ({0: 0.0} | POINTS)[between[0]]
+    high = POINTS[between[1]]
     share = (3 * days - between[0]) / (between[1] - between[0])
     hazard = (1 - share) * math.log(1 - low) + share * math.log(1 - high)
     assert (name, flights, status) == (f"A{days}", 3.0 * days, "ok")

@@ -4,7 +4,9 @@ import pytest
 from answers import rows
 from small_catalog import catalog, flight, fouling, message
 
-LAST, LOSS, BEFORE = 70, 0.2, 0.05
+LAST = 70
+LOSS = 0.2
+BEFORE = 0.05
 
 
 def track(tail: str, reached: int, last: int = LAST) -> list[dict]:
@@ -12,7 +14,8 @@ def track(tail: str, reached: int, last: int = LAST) -> list[dict]:
 
 
 def life(tail: str, last: int = LAST, ended_by: str | None = None) -> dict:
-    start, end = flight(0, tail=tail), flight(last, tail=tail)
+    start = flight(0, tail=tail)
+    end = flight(last, tail=tail)
     own = {"operator": "AAA", "tail": tail, "pack": 1, "component": "HX", "life": 0, "ended_by": ended_by}
     return own | {"first_departed_at": start["departed_at"], "end_departed_at": end["departed_at"]}
 

@@ -259,7 +259,8 @@ def routes_flown(**more: list[dict]) -> list[tuple]:
     """Thirty flights to the hot place gain 1 % each, thirty to the cold one nothing; a new exchanger in between."""
     hot = [flight(n) | {"origin": "AAAA", "destination": "HHHH"} for n in range(30)]
     cold = [flight(n) | {"origin": "AAAA", "destination": "CCCC"} for n in range(30, 60)]
-    warm, cool = {"tat_cruise_k": 291.0, "hx_margin_k": 5.0}, {"tat_cruise_k": 262.0, "hx_margin_k": 25.0}
+    warm = {"tat_cruise_k": 291.0, "hx_margin_k": 5.0}
+    cool = {"tat_cruise_k": 262.0, "hx_margin_k": 25.0}
     features = [f | warm | {"pack": 1, "hx_fouling": 0.01 * n} for n, f in enumerate(hot)]
     features += [f | cool | {"pack": 1, "hx_fouling": 0.0} for f in cold]
     con = catalog(raw_flights=[*hot, *cold], features=features, **more)

@@ -29,7 +29,8 @@ def training_set(sample_home) -> pl.DataFrame:
 @pytest.mark.parametrize("cut", [dt.date(2024, 5, 3), dt.date(2024, 6, 4)])
 def test_features_know_no_later_day(sample_home, training_set, cut):
     """The leak test: without the flights, messages and work of later days every earlier row is the same."""
-    store, record = Store(sample_home), read_record(sample_home)
+    store = Store(sample_home)
+    record = read_record(sample_home)
     on = {"snapshots": DAY, "maintenance": pl.col("done_on"), "messages": pl.col("message_time").dt.date()}
     known_then = {name: frame.filter(on[name] < cut) for name, frame in record.items()}
     laws = json.loads(store.read_table("calibration_schedules").filter(name="controllers")["laws"].item())
@@ -85,9 +86,10 @@ def prognosis(n: int, low: float, middle: float, high: float) -> dict:
 def test_interval_holds_end_within_it():
     """Flight 5 is 15 flights before the message, flight 25 is 35 before the last flight on record."""
     rows = [prognosis(n, 1, 5, 10) for n in range(60)]
-    rows[5], rows[10], rows[25], rows[26] = (
-        prognosis(5, 5, 12, 15), prognosis(10, 0, 3, 9), prognosis(25, 40, 60, 300), prognosis(26, 10, 20, 30),
-    )  # fmt: skip
+    rows[5] = prognosis(5, 5, 12, 15)
+    rows[10] = prognosis(10, 0, 3, 9)
+    rows[25] = prognosis(25, 40, 60, 300)
+    rows[26] = prognosis(26, 10, 20, 30)
     con = catalog(prognoses=rows, prognosis_lives=ENDS)
     names = "interval_held, outlived_low, outlived_high, event_50, outcome"
     days = {n: flight(n)["flight_id"] for n in (5, 10, 25, 26)}

@@ -31,7 +31,8 @@ def urgency(chances: list[float], maintenance: list[dict] | None = None, model: 
     return con.execute("select urgency, urgent_since, urgent_by from unit_urgencies").fetchall()
 
 
-LOW, HIGH = [0.1] * 20, [0.6] * 20
+LOW = [0.1] * 20
+HIGH = [0.6] * 20
 
 
 @pytest.mark.parametrize(

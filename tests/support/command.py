@@ -11,7 +11,8 @@ from pipelines.cli import main
 
 def hdt(*words: object) -> CompletedProcess[str]:
     """Run a command: its exit code and what it printed."""
-    code, command = 0, ["hdt", *map(str, words)]
+    code = 0
+    command = ["hdt", *map(str, words)]
     with (
         patch.object(sys, "argv", command),
         redirect_stdout(io.StringIO()) as out,

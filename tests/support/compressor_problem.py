@@ -6,7 +6,9 @@ from hdt_core.estimation import Problem, unknown
 
 SPEED_RAD_S = np.linspace(2000.0, 3800.0, 40)
 DENSITY_KG_M3 = np.linspace(0.4, 0.6, 40)
-AREA_M2, DIAMETER_M, BETA_RAD = 0.0098, 0.11, np.deg2rad(36.0)
+AREA_M2 = 0.0098
+DIAMETER_M = 0.11
+BETA_RAD = np.deg2rad(36.0)
 
 
 def flow_kg_s(theta, i):

@@ -43,7 +43,8 @@ def read_samples() -> pl.DataFrame:
 
 def judge_cycles(samples: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame, pl.DataFrame]:
     """All cycles with the rig's settings; those nominal by rules; of these those nominal by statistics (FAST-MCD)."""
-    hot_k, cold_k = pl.col("oil_in_k"), pl.col("oil_out_k")
+    hot_k = pl.col("oil_in_k")
+    cold_k = pl.col("oil_out_k")
     cycles = samples.group_by("flight_id", maintain_order=True).agg(
         drift_free(pl.col("time_utc").dt.epoch("s").cast(pl.Float64), "oil_in_k", harmful=0.005).alias("steady"),
         pl.col("oil_capacity_w_k").first().log().alias("rate"),

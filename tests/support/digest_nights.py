@@ -22,7 +22,8 @@ def flight(n: int, tail: str = "T-1") -> dict:
 
 
 def alert(name: str, severity: str, last: int, *, closed: int | None = None) -> dict:
-    raised, now = flight(10), flight(last)
+    raised = flight(10)
+    now = flight(last)
     ends = None if closed is None else flight(closed)["departed_at"]
     return raised | {
         "alert_id": name, "pack": 1, "component": "HX", "diagnosis": "HX_SUDDEN_CLOG", "severity": severity,
@@ -42,7 +43,8 @@ class Night(NamedTuple):
 
 def publish_night(home: Path, night: Night) -> None:
     """Store it as a night would, and publish."""
-    store, own = Store(home) if home.exists() else empty_home(home), [("AAA", "T-1")]
+    store = Store(home) if home.exists() else empty_home(home)
+    own = [("AAA", "T-1")]
     low, middle, high = night.outlook
     fields = {"pack": 1, "component": "HX", "model_version": "m", "split": "live", "p_event_50": 0.2}
     fields |= {"rul_low": low, "rul_flights": middle, "rul_high": high}

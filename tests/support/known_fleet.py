@@ -13,7 +13,11 @@ from hdt_core.physics.compressor import effective_diameter_m, exit_temperature_k
 from hdt_core.physics.heat_exchanger import outlets_k
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 
-GROUP_M3, INTERCEPT_M, SLOPE_M, SCATTER_M, EFFICIENCY = 9.1e-4, 0.169, -2.4e-5, 0.004, 0.76
+GROUP_M3 = 9.1e-4
+INTERCEPT_M = 0.169
+SLOPE_M = -2.4e-5
+SCATTER_M = 0.004
+EFFICIENCY = 0.76
 DESIGN = {
     "ln_ua_reference": np.log(2100.0), "hx_exponent_hot": 0.55, "hx_exponent_cold": 0.62, "hot_share_logit": -0.2,
     "hx_wall_share": 0.08, "film_temperature_exponent": 0.2, "ln_door_closed": np.log(0.0025),
@@ -44,7 +48,8 @@ def fleet_with_truth(n_tails: int, n_flights: int, *, packs: int = 2, ram_out: b
     """Aircraft whose left packs foul at different rates and whose right packs stay clean, under a door controller."""
     rng = np.random.default_rng(seed)
     design = np.array([DESIGN[name] for name in hx.NAMES])
-    samples, truth = [], []
+    samples = []
+    truth = []
     for tail in range(n_tails):
         tat_bias = rng.normal(0.0, 0.4)
         weather = rng.normal(0.0, 6.0, n_flights)
@@ -97,13 +102,15 @@ def _flown(rng, design, loss, offset, weather, level, n=8):
         "hx_in_k": 404.0 + 0.5 * weather[:, None] + (altitude - 11000.0) / 100.0, "pack_flow_kg_s": flow,
     }  # fmt: skip
     target = 296.0 + rng.normal(0.0, 1.5, (len(loss), 1))
-    low, high = np.full(shape, 0.02), np.ones(shape)
+    low = np.full(shape, 0.02)
+    high = np.ones(shape)
     for _ in range(40):
         s["ram_door_open"] = 0.5 * (low + high)
         ram = clean_ram_flow_kg_s(s, design)
         ua = np.exp(ln_clean_conductance(s, ram, design) + offset) * (1.0 - loss[:, None])
         hot, cold = outlets_k(flow, ram, s["hx_in_k"], tat, ua)
-        low, high = np.where(hot > target, s["ram_door_open"], low), np.where(hot > target, high, s["ram_door_open"])
+        low = np.where(hot > target, s["ram_door_open"], low)
+        high = np.where(hot > target, high, s["ram_door_open"])
     s |= {"hx_out_k": hot, "ram_out_k": cold}
     vda = rng.uniform(300.0, 600.0, shape)
     diameter = INTERCEPT_M + SLOPE_M * vda + rng.normal(0.0, SCATTER_M, shape)

@@ -19,7 +19,8 @@ def fouling(flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, *, liter
     if not literal:
         return track_loss(flights, maintenance, loss).health
     panel = lay_out(flights, loss.observations, maintenance, HX.code, unchecked=loss.unchecked)
-    level, sd = np.empty(panel.n_rows), np.empty(panel.n_rows)
+    level = np.empty(panel.n_rows)
+    sd = np.empty(panel.n_rows)
     for pack in range(panel.row.shape[1]):
         hypotheses = start(loss.settings)
         for k, row in enumerate(panel.row[:, pack]):

@@ -88,7 +88,9 @@ class LongTests:
     def __init__(self, which: str | None, whole: bool) -> None:
         every = groups()
         before = passed() if which == "changed" else {}
-        self.every, self.long, self.whole = every, which is not None, whole
+        self.every = every
+        self.long = which is not None
+        self.whole = whole
         self.digests = {g.name: g.digest() for g in every} if which else {}
         self.chosen = [g for g in every if which and self.digests[g.name] != before.get(g.name)]
         self.failed: set[str] = set()

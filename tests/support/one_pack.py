@@ -9,7 +9,8 @@ from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.alerts.cases import Case, Grid
 from hdt_core.tables.features import FeaturesAlerts
 
-FLIGHTS, A_DAY = 100, 4
+FLIGHTS = 100
+A_DAY = 4
 START = datetime(2024, 3, 1, 1, tzinfo=UTC)
 OWN = {"operator": "TST", "tail": "T-AAA", "pack": 1}
 

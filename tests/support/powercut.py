@@ -17,15 +17,18 @@ class Disk:
     """Watches how this process writes below `home`, from now on."""
 
     def __init__(self, home: Path, shadow: Path) -> None:
-        self.home, self.shadow = home.resolve(), shadow
+        self.home = home.resolve()
+        self.shadow = shadow
         shadow.mkdir()
         if (home / "dagster").exists():
             shutil.copytree(home / "dagster", shadow / "dagster")
         self.safe = {_which(f): _state(f) for f in self._files()}
         self.names: dict[str, list[tuple[Path, Path | None]]] = defaultdict(list)
-        self._fsync, self._mkdir = os.fsync, os.mkdir
+        self._fsync = os.fsync
+        self._mkdir = os.mkdir
         self._moves = {name: getattr(os, name) for name in ("rename", "replace")}
-        os.fsync, os.mkdir = self.fsync, self.mkdir
+        os.fsync = self.fsync
+        os.mkdir = self.mkdir
         for name in self._moves:
             setattr(os, name, lambda *a, _name=name, **kw: self.move(_name, *a, **kw))
 
@@ -47,7 +50,8 @@ class Disk:
 
     def move(self, name: str, source: Any, target: Any, **kw: Any) -> None:
         """A name not yet safe; what it stood for before is kept."""
-        to, copy = Path(target).absolute(), None
+        to = Path(target).absolute()
+        copy = None
         if to.is_file():
             copy = self.shadow / str(len(list(self.shadow.iterdir())))
             os.link(to, copy)

@@ -34,7 +34,9 @@ class Lost:
     """A method that gives up on every problem, in one of the ways there are."""
 
     def __init__(self, status: str, mean: float = 0.0) -> None:
-        self.name, self.status, self.mean = NAME, status, mean
+        self.name = NAME
+        self.status = status
+        self.mean = mean
 
     def estimate(self, problem: Problem) -> Estimate:
         """Return no estimate."""
@@ -47,10 +49,10 @@ def install_method(monkeypatch: pytest.MonkeyPatch, method: object) -> None:
     """Have a package bring a method, until the test ends."""
     entry = SimpleNamespace(name=NAME, value=f"other:{NAME}", dist=None, load=lambda: method)
 
-    def found(group: str) -> list[EntryPoint | SimpleNamespace]:
+    def list_entries(group: str) -> list[EntryPoint | SimpleNamespace]:
         return [entry] if group == "hdt.estimators" else []
 
-    monkeypatch.setattr(loading, "entry_points", found)
+    monkeypatch.setattr(loading, "entry_points", list_entries)
     estimators.cache_clear()
 
 

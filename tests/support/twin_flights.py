@@ -18,7 +18,8 @@ def flights_with_loss(
 ) -> pl.DataFrame:
     """One pack, a flight a day, with this loss; noise as the model expects it."""
     rng = np.random.default_rng(seed)
-    n, sampling = len(loss), 0.005
+    n = len(loss)
+    sampling = 0.005
     noise = np.hypot(model.flight_sd, sampling) * rng.standard_normal(n)
     start = datetime(2024, 1, 1, 6, tzinfo=UTC)
     return pl.DataFrame(

@@ -58,7 +58,8 @@ def fly_two_packs(flights: int, seed: int = 0, tail: str = "T-AAA") -> pl.DataFr
     rng = np.random.default_rng(seed)
     parts = []
     for k in range(flights):
-        day_k, trim_k = 5.0 * rng.standard_normal(), 1.5 * rng.standard_normal()
+        day_k = 5.0 * rng.standard_normal()
+        trim_k = 1.5 * rng.standard_normal()
         parts += [pl.DataFrame(_pack(rng, tail, k, p, day_k, trim_k), strict=False) for p in (1, 2)]
     typed = {"pack": pl.Int32, "time_utc": pl.Datetime("us", "UTC"), "ram_out_k": pl.Float64}
     return pl.concat(parts, how="vertical_relaxed").cast(typed)

@@ -11,7 +11,8 @@ from hdt_estimators import RecursiveLeastSquares, StrongTracking
 from hdt_estimators.experiment import Candidate, rank_sensors
 from hdt_estimators.strong_tracking import classify
 
-JUMP_AT, N = 120, 240
+JUMP_AT = 120
+N = 240
 
 
 def gain_record(seed, before=1.0, after=1.6):

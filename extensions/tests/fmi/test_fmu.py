@@ -133,7 +133,8 @@ CONTINUOUS = {
     "van_der_pol": (1, ("x0", "x1"), Param("mu", "-", 1.0, (0.1, 5.0), "design")),
     "dahlquist": (2, ("x",), Param("k", "-", 1.0, (0.1, 5.0), "design")),
 }
-GRAVITY, BOUNCE = Param("g", "-", -9.81, (-20.0, -1.0), "design"), Param("e", "-", 0.7, (0.1, 0.95), "design")
+GRAVITY = Param("g", "-", -9.81, (-20.0, -1.0), "design")
+BOUNCE = Param("e", "-", 0.7, (0.1, 0.95), "design")
 SLOWEST = 0.1  # of free_models.c, below which the ball lies still
 
 

@@ -59,8 +59,8 @@ def test_bad_type_costs_no_other(tmp_path):
     types = types_of(tmp_path)
     assert types.by_name["MINE"].stations[PACK][0].parameters == ("M", "M")
     assert types.fault_of("AAA", "T1") == "good.toml names the map m.toml: not there"
-    known = "fleet.csv gives the aircraft the type OTHER, known are A330-717, B787-767, MINE"
-    assert known in types.fault_of("AAA", "T2")
+    fault = "fleet.csv gives the aircraft the type OTHER, known are A330-717, B787-767, MINE"
+    assert fault in types.fault_of("AAA", "T2")
     recording = tmp_path / "AAA/T2/recorder/T2_20240101_01.dat"
     recording.parent.mkdir(parents=True)
     recording.write_bytes(b"?")

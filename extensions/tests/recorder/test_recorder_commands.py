@@ -12,7 +12,8 @@ from recordings import DATA, DEMO_717, DEMO_767, frames_717, frames_767, message
 from hdt_recorder import printed_reports, recorder_rows, recordings
 from hdt_recorder.decoding.coding import PACKINGS
 
-MAP_717, MAP_767 = DATA / "demo_717.toml", DATA / "demo_767.toml"
+MAP_717 = DATA / "demo_717.toml"
+MAP_767 = DATA / "demo_767.toml"
 MAP_XML = DATA / "demo_717.xml"
 
 

@@ -16,9 +16,13 @@ from hdt_trial.outcomes import COLUMNS, Outcomes, outcomes_of
 
 START = dt.datetime(2025, 1, 1, tzinfo=dt.UTC)
 A_DAY = 3
-SEALED, FOLLOWED, BEFORE = 300, 480, 1200
-SHAPE, SCALE = 3.0, 110.0
-FORETOLD, FALSE_PER_FLIGHT = 0.8, 0.002
+SEALED = 300
+FOLLOWED = 480
+BEFORE = 1200
+SHAPE = 3.0
+SCALE = 110.0
+FORETOLD = 0.8
+FALSE_PER_FLIGHT = 0.002
 LEVELS = (0.08, 0.5, 0.9)
 """Where 0.05, 0.5 and 0.95 are claimed: a prognosis too sure of itself."""
 
@@ -164,13 +168,14 @@ def truth(units: list[Unit], declared: Declaration) -> dict[str, float]:
                 soon.append(False)
                 continue
             age = k - max(i for i in u.installed if i <= k)
-            life, (a, _, b) = min(e for e in u.events if e > k) - k, rul_interval(age)
-            within.append(a <= life <= b)
-            low.append(life < a)
+            life = min(e for e in u.events if e > k) - k
+            shortest, _, longest = rul_interval(age)
+            within.append(shortest <= life <= longest)
+            low.append(life < shortest)
             soon.append(life <= 50)
     new = [event and lead(at, event) for u in units for at, event in u.alerts if 0 <= at < SEALED]
-    judged = (lead_flights or 0 for lead_flights in new if lead_flights is None or lead_flights > 0)
-    right = [declared.late_flights <= lead_flights <= declared.early_flights for lead_flights in judged]
+    counted_leads = (lead_flights or 0 for lead_flights in new if lead_flights is None or lead_flights > 0)
+    right = [declared.late_flights <= lead_flights <= declared.early_flights for lead_flights in counted_leads]
     return {
         "false_alarms": 1000.0 * false / flown,
         "foretold": hits / events,
