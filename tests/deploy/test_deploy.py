@@ -30,6 +30,17 @@ ARGUMENTS = {
 }
 
 
+MANIFESTS = (ROOT / "deploy/kubernetes.yaml").read_text()
+DOCUMENTS = list(yaml.safe_load_all(MANIFESTS))
+DOCKERFILE = (ROOT / "Dockerfile").read_text()
+LET_IN = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+
+
+def settings_variables(name: str) -> set[str]:
+    """Variables of the environment that settings in `deploy` read."""
+    return set(re.findall(r"env: (\w+)", (ROOT / "deploy" / name).read_text()))
+
+
 @pytest.mark.parametrize("name", sorted(set(OURS) - {"worker"}))
 def test_service_takes_its_command(name):
     program, *words = OURS[name]["entrypoint"]
@@ -40,28 +51,44 @@ def test_service_takes_its_command(name):
     assert {k: params.get(k) for k in ARGUMENTS[name]} == ARGUMENTS[name]
 
 
-def test_workers_run_dagster_tasks(monkeypatch):
-    """The command as Celery reads it, and the service's own broker in the address that the settings name."""
-    monkeypatch.setenv("HDT_BROKER_URL", "memory://")
-    program, of, module, worker, flag, runs_at_once = OURS["worker"]["entrypoint"]
+def test_celery_takes_worker_command():
+    program, of, _, worker, flag, runs_at_once = OURS["worker"]["entrypoint"]
     commands = pkgutil.resolve_name("celery.bin.celery:celery").commands
     options = {o for p in commands[worker].params for o in p.opts}
     assert (program, of, flag in options, runs_at_once.isdigit()) == ("celery", "--app", True, True)
-    tasks = importlib.import_module(module).app.tasks
+
+
+def test_workers_run_dagster_tasks(monkeypatch):
+    monkeypatch.setenv("HDT_BROKER_URL", "memory://")
+    tasks = importlib.import_module(OURS["worker"]["entrypoint"][2]).app.tasks
     assert any(task.endswith("execute_job") for task in tasks), sorted(tasks)
+
+
+def test_workers_know_their_broker():
     environment = OURS["worker"]["environment"]
     assert urlsplit(environment["HDT_BROKER_URL"]).hostname in OURS["worker"]["depends_on"]
-    variables = set(re.findall(r"env: (\w+)", (ROOT / "deploy/celery.yaml").read_text()))
-    assert variables <= set(environment)
+    assert settings_variables("celery.yaml") <= set(environment)
 
 
-def test_services_name_present_parts():
+def test_some_services_wait_for_profile():
     assert {name for name, s in SERVICES.items() if "profiles" in s} == {"broker", "worker", "night"}
+
+
+def test_mounted_sources_exist():
     mounted = [v.rsplit(":", 2 if v.endswith(":ro") else 1)[0] for s in SERVICES.values() for v in s["volumes"]]
-    for source in mounted:
-        assert source in COMPOSE["volumes"] or source.startswith("${") or (ROOT / source).is_file(), source
+    own_files = [m for m in mounted if m not in COMPOSE["volumes"] and not m.startswith("${")]
+    assert [f for f in own_files if not (ROOT / f).is_file()] == []
+
+
+def test_awaited_services_exist():
     assert all(waited in SERVICES for s in OURS.values() for waited in s["depends_on"])
+
+
+def test_ports_are_open_to_machine_alone():
     assert all(p.startswith("127.0.0.1:") for s in SERVICES.values() for p in s.get("ports", []))
+
+
+def test_hooks_run_checked_tools():
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
     targets = dict(re.findall(r"\n(\w+):(.*(?:\n\t.*)*)", (ROOT / "Makefile").read_text()))
     checked = [tool for part in targets["check"].split() for tool in re.findall(r"\$\(BIN\)/(\S+)", targets[part])]
@@ -70,35 +97,49 @@ def test_services_name_present_parts():
     assert all(shutil.which(tool, path=str(ROOT / ".venv/bin")) for tool in checked) or not (ROOT / ".venv").exists()
 
 
-@pytest.mark.parametrize("name", ["dagster.yaml", "celery.yaml"])
-def test_dagster_takes_deployed_settings(name, tmp_path, monkeypatch):
-    text = (ROOT / "deploy" / name).read_text()
-    (tmp_path / "dagster.yaml").write_text(text)
-    variables = set(re.findall(r"env: (\w+)", text))
-    assert name != "dagster.yaml" or all(variables <= set(s["environment"]) for s in OURS.values())
-    for variable in variables:
+@pytest.fixture(params=["dagster.yaml", "celery.yaml"])
+def settings(request, tmp_path, monkeypatch):
+    """Settings of an engine as Dagster reads them."""
+    shutil.copy(ROOT / "deploy" / request.param, tmp_path / "dagster.yaml")
+    for variable in settings_variables(request.param):
         monkeypatch.setenv(variable, "postgresql://nobody@127.0.0.1:1/none")
-    settings, _ = pkgutil.resolve_name("dagster._core.instance.config:dagster_instance_config")(str(tmp_path))
+    return pkgutil.resolve_name("dagster._core.instance.config:dagster_instance_config")(str(tmp_path))[0]
+
+
+def test_services_set_variables_of_settings():
+    assert all(settings_variables("dagster.yaml") <= set(s["environment"]) for s in OURS.values())
+
+
+def test_deployed_dagster_sends_no_telemetry(settings):
     assert settings["telemetry"] == {"enabled": False}
-    named = [s for s in settings.values() if isinstance(s, dict) and "class" in s]
-    assert len(named) >= 4
-    assert all(hasattr(importlib.import_module(s["module"]), s["class"]) for s in named)
-    kept_in = [s["module"] for key, s in settings.items() if key.endswith("_storage")]
-    assert len(kept_in) == 3
-    assert all("postgres" in module for module in kept_in)
 
 
-def test_cluster_manifests_fit_together():
-    """Names that one manifest makes and another uses; the settings in it are those of the other engines but for one."""
-    documents = list(yaml.safe_load_all((ROOT / "deploy/kubernetes.yaml").read_text()))
-    names = {(d["kind"], d["metadata"]["name"]) for d in documents}
-    text = (ROOT / "deploy/kubernetes.yaml").read_text()
-    for kind, key in (("ConfigMap", "configMap"), ("PersistentVolumeClaim", "claimName"), ("ServiceAccount", "")):
-        pattern = {"configMap": r"(?:configMap|configMapRef): \{name: ([\w-]+)", "claimName": r"claimName: ([\w-]+)"}
-        named = set(re.findall(pattern.get(key, r"service_?[aA]ccount_?[nN]ame: ([\w-]+)"), text))
-        assert named
-        assert {(kind, name) for name in named} <= names
-    (inside,) = [d["data"]["dagster.yaml"] for d in documents if "dagster.yaml" in d.get("data", {})]
+def test_deployed_classes_exist(settings):
+    classes = [s for s in settings.values() if isinstance(s, dict) and "class" in s]
+    assert len(classes) >= 4
+    assert all(hasattr(importlib.import_module(s["module"]), s["class"]) for s in classes)
+
+
+def test_deployed_storage_is_postgres(settings):
+    modules = [s["module"] for key, s in settings.items() if key.endswith("_storage")]
+    assert ["postgres" in module for module in modules] == [True] * 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "pattern"),
+    [
+        ("ConfigMap", r"(?:configMap|configMapRef): \{name: ([\w-]+)"),
+        ("PersistentVolumeClaim", r"claimName: ([\w-]+)"),
+        ("ServiceAccount", r"service_?[aA]ccount_?[nN]ame: ([\w-]+)"),
+    ],
+)
+def test_cluster_makes_what_it_uses(kind, pattern):
+    names = {d["metadata"]["name"] for d in DOCUMENTS if d["kind"] == kind}
+    assert set() < set(re.findall(pattern, MANIFESTS)) <= names
+
+
+def test_cluster_shares_settings_of_engines():
+    (inside,) = [d["data"]["dagster.yaml"] for d in DOCUMENTS if "dagster.yaml" in d.get("data", {})]
     ours = yaml.safe_load(inside)
     celery = yaml.safe_load((ROOT / "deploy/celery.yaml").read_text())
     alike = ("event_log_storage", "run_storage", "schedule_storage", "run_coordinator", "run_monitoring", "run_retries")
@@ -107,29 +148,33 @@ def test_cluster_manifests_fit_together():
 
 
 def test_linked_folders_are_in_image():
-    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     links = [f for package in PACKAGES for f in (ROOT / package).rglob("*") if f.is_symlink()]
 
     targets = {f.resolve().relative_to(ROOT).parts[0] for f in links}
 
     assert targets == {"docs"}
-    assert targets <= let_in
+    assert targets <= LET_IN
+
+
+def test_image_copies_what_is_let_in():
+    lines = [line for line in DOCKERFILE.splitlines() if line.startswith("COPY") and "--from" not in line]
+    copied = [w for line in lines for w in line.split()[1:-1]]
+    assert set(copied) == LET_IN
+    assert all((ROOT / name).exists() for name in copied)
+
+
+def test_image_runs_without_privileges():
+    assert [line for line in DOCKERFILE.splitlines() if line.startswith("USER")] == ["USER 10001"]
 
 
 def test_image_brings_needed_extras():
-    lines = (ROOT / "Dockerfile").read_text().splitlines()
-    copied = [w for line in lines if line.startswith("COPY") and "--from" not in line for w in line.split()[1:-1]]
-    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
-    assert set(copied) == let_in
-    assert all((ROOT / name).exists() for name in copied)
-    assert [line for line in lines if line.startswith("USER")] == ["USER 10001"]
-    # Every extra that a command or the storage asks for by name, and those of a fleet on several machines.
+    """Every extra that a command or the storage asks for by name, and those of a fleet on several machines."""
     files = [*(ROOT / "pipelines/cli").glob("*.py"), *(ROOT / "pipelines/storage").glob("*.py"),
              ROOT / "docs/storage.md"]  # fmt: skip
     named = re.findall(r"hybrid-digital-twin\[([\w,]+)\]", "".join(f.read_text() for f in files))
-    (installed,) = re.findall(r"'\.\[([\w,]+)\]'", (ROOT / "Dockerfile").read_text())
-    assert {"serve", "s3"} <= {extra for extras in named for extra in extras.split(",")} <= set(installed.split(","))
+    (installed,) = re.findall(r"'\.\[([\w,]+)\]'", DOCKERFILE)
     locked = re.findall(r"--extra (\w+)", (ROOT / "Makefile").read_text())
+    assert {"serve", "s3"} <= {extra for extras in named for extra in extras.split(",")} <= set(installed.split(","))
     assert set(installed.split(",")) <= set(locked)
 
 
