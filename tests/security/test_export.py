@@ -149,30 +149,48 @@ def test_pseudonymised_export_identifies_nobody(given_away, home, operator, form
     assert [s for (s,) in (*secrets, *works) if spelt(s) in words] == []
 
 
-def test_pseudonyms_change_only_names(given_away, home):
-    plain = given_away(None, None, "parquet")
-    masked = given_away(None, KEY, "parquet")
+@pytest.fixture
+def plain(given_away):
+    return given_away(None, None, "parquet")
+
+
+@pytest.fixture
+def masked(given_away):
+    return given_away(None, KEY, "parquet")
+
+
+def test_pseudonyms_keep_every_row(plain, masked):
     assert plain.rows == masked.rows
-    for view in ("health_parameters", "residuals", "features", "fleet_ranking"):
-        numbers = [f.frame(view).select(pl.selectors.numeric()) for f in (plain, masked)]
-        assert numbers[0].sort(pl.all()).equals(numbers[1].sort(pl.all())), view
-    for view in ("flights", "alerts"):
-        names = masked.frame(view)
-        assert names["tail"].str.contains(r"^P[A-Z2-7]{9}$").all()
-        flight = "flight_id" if view == "flights" else "raised_flight_id"
-        assert names.filter(~pl.col(flight).str.starts_with(pl.col("tail") + "_")).is_empty()
+
+
+@pytest.mark.parametrize("view", ["health_parameters", "residuals", "features", "fleet_ranking"])
+def test_pseudonyms_keep_numbers(plain, masked, view):
+    before, after = (f.frame(view).select(pl.selectors.numeric()).sort(pl.all()) for f in (plain, masked))
+    assert before.equals(after)
+
+
+@pytest.mark.parametrize(("view", "flight"), [("flights", "flight_id"), ("alerts", "raised_flight_id")])
+def test_pseudonyms_replace_tails(masked, view, flight):
+    names = masked.frame(view)
+    assert names["tail"].str.contains(r"^P[A-Z2-7]{9}$").all()
+    assert names.filter(~pl.col(flight).str.starts_with(pl.col("tail") + "_")).is_empty()
+
+
+def test_pseudonyms_still_join_views(plain, masked):
     together = masked.frame("flights").join(masked.frame("legs"), on=["operator", "tail", "flight_id"])
     assert together.height == plain.rows["legs"]
+
+
+def test_pseudonym_depends_on_key_alone(home):
     one, two = (access_scope(home, o, KEY).pseudonym("LX-AAB") for o in (None, "AQX"))
     assert one == two != access_scope(home, None, KEY[::-1]).pseudonym("LX-AAB")
 
 
 def test_formats_export_same_values(given_away):
     frames = [given_away("AQX", None, f).frame("health_parameters") for f in FORMATS]
-    keys = ["flight_id", "pack", "parameter"]
-    values = [f.sort(*(pl.col(k).cast(pl.String) for k in keys))["value"].cast(pl.Float64) for f in frames]
-    assert values[0].equals(values[1])
-    assert values[0].equals(values[2])
+    keys = [pl.col(k).cast(pl.String) for k in ("flight_id", "pack", "parameter")]
+    first, *others = (f.sort(*keys)["value"].cast(pl.Float64) for f in frames)
+    assert [first.equals(other) for other in others] == [True, True]
 
 
 def test_exported_cell_is_no_formula(watched, tmp_path):
@@ -196,37 +214,51 @@ def test_exported_text_is_harmless(text, number):
 KILLED = "from benchmarks.fault_points import arm; arm('before_rename:1'); from pipelines.cli import main; main()"
 
 
-def test_export_is_whole_or_absent(home, tmp_path, monkeypatch):
+def kill_export(home: Path, out: Path) -> None:
+    """Export flights in a process that is killed before its first file has its name."""
+    words = ["export", "--home", home, "--view", "flights", "--out", out]
+    assert subprocess.run([sys.executable, "-c", KILLED, *words], capture_output=True, check=False).returncode < 0
+
+
+def test_killed_export_leaves_nothing(home, tmp_path):
+    """What it left half done goes with the next."""
     out = tmp_path / "out"
-    words = ["export", "--home", home, "--view", "flights", "--out", tmp_path / "out"]
-
-    def kill_export() -> int:
-        return subprocess.run([sys.executable, "-c", KILLED, *words], capture_output=True, check=False).returncode
-
-    assert kill_export() < 0
+    kill_export(home, out)
     assert not out.exists()
+    assert hdt("export", "--home", home, "--view", "flights", "--out", out).returncode == 0
+    assert [f.name for f in tmp_path.iterdir()] == ["out"]
+
+
+def test_killed_export_keeps_earlier_one(home, tmp_path, monkeypatch):
+    """Until the next export takes the place of both."""
+    out = tmp_path / "out"
+    words = ["export", "--home", home, "--view", "flights", "--out", out]
     assert hdt(*words).returncode == 0
     before = (out / "flights.parquet").read_bytes()
-    assert kill_export() < 0
+    kill_export(home, out)
     assert (out / "flights.parquet").read_bytes() == before
     monkeypatch.setenv("HDT_EXPORT_KEY", KEY.decode())
     assert hdt(*words, "--pseudonymise", "--format", "csv").returncode == 0
-    assert {f.name for f in out.iterdir()} == {"flights.csv", MANIFEST}, "what an earlier export told is gone"
+    assert {f.name for f in out.iterdir()} == {"flights.csv", MANIFEST}, "the earlier export is gone"
     assert [f.name for f in tmp_path.iterdir()] == ["out"], "and so is what killed ones left"
 
 
-def test_foreign_files_are_not_overwritten(home, tmp_path):
+@pytest.mark.parametrize("target", ["mine", "link", "mine/thesis.txt"])
+def test_foreign_files_are_not_overwritten(home, tmp_path, target):
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "thesis.txt").write_text("x")
     (tmp_path / "link").symlink_to(mine)
-    for folder in (mine, tmp_path / "link", mine / "thesis.txt"):
-        with pytest.raises(FileExistsError, match="is not overwritten"):
-            export(home, folder, EVERYTHING, "csv", ["flights"])
-    for folder in (home, home / "tables/export", tmp_path / "link/../named/.." / home / "x"):
-        with pytest.raises(ValueError, match="lies in the home"):
-            export(home, folder, EVERYTHING, "csv", ["flights"])
+    with pytest.raises(FileExistsError, match="is not overwritten"):
+        export(home, tmp_path / target, EVERYTHING, "csv", ["flights"])
     assert [f.name for f in mine.iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.parametrize("place", [".", "x", "tables/export", "../{name}/x"])
+def test_export_stays_out_of_home(home, tmp_path, place):
+    folder = home / place.format(name=home.name)
+    with pytest.raises(ValueError, match="lies in the home"):
+        export(home, folder, EVERYTHING, "csv", ["flights"])
 
 
 @pytest.mark.parametrize(
