@@ -136,7 +136,7 @@ STAGES = (
     Stage("raw_fleet", "raw", {
         **dict.fromkeys(
             ("raw_fleet", "raw_files_deliveries", "raw_files_quarantine"),
-            Recipe(files=("fleet", "rejected", "refused", "checks", "costs"), code="2"),
+            Recipe(files=("fleet", "rejected", "refused", "checks", "costs"), code="3"),
         ),
         "raw_coverage": Recipe(files=("fleet", "type"), code=DECLARED),
         "raw_checks": Recipe(files=("checks",)),

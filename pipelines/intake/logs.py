@@ -157,6 +157,8 @@ def _validate_aircraft(words: Words, _: datetime | None) -> Row | Fault:
     days = {name: to_day(words[name]) for name in ("valid_from", "valid_to", "delivered_on")}
     if odd := [name for name, day in days.items() if words[name] and day is None]:
         return Fault("unreadable_time", column_name=", ".join(odd))
+    if days["valid_from"] and days["valid_to"] and days["valid_to"] < days["valid_from"]:
+        return Fault("ends_before_start", column_name="valid_from, valid_to")
     packs = _number_up_to(MAX_PACKS, words["packs"] or str(PACKS))
     if packs == 0:
         return Fault("bad_pack", column_name="packs")

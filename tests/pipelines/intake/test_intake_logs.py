@@ -62,6 +62,17 @@ LOGS = [
 ]  # fmt: skip
 
 
+def test_reversed_dates_cost_their_row(deliver, now):
+    good, reversed_dates = "AQX,LX-AAA,1,2024-05-02,2024-05-02\n", "AQX,LX-AAB,2,2024-05-02,2024-05-01\n"
+    content = "operator,tail,msn,valid_from,valid_to\n" + reversed_dates + good
+
+    fleet = read_fleet(deliver({"fleet.csv": content.encode()})[0], now)
+
+    assert fleet.rows["tail"].to_list() == ["LX-AAA"]
+    (fault,) = fleet.quarantine.select("file", "row", "column_name", "reason").rows()
+    assert fault == ("fleet.csv", 2, "valid_from, valid_to", "ends_before_start")
+
+
 def test_quoted_line_breaks_become_spaces(deliver, now):
     lines = '2024-05-02T18:51:18Z,,1,21-52-HXTEMP,"HOT,\n\nHIGH"\n2024-05-03T18:51:18Z,,2,21-52-HXTEMP,5" duct\n'
 
