@@ -34,7 +34,9 @@ select
     a.closed_on::varchar as closed_on,
     a.recommended_action, a.evidence_now as evidence,
     a.now_rul_flights as rul_flights, a.now_rul_low as rul_low, a.now_rul_high as rul_high,
-    a.now_p_event_50 as p_event_50, n.choice, p.place, o.outcome, o.work_orders
+    a.now_p_event_50 as p_event_50, n.choice,
+    strftime(a.now_came_at at time zone 'UTC', '%Y-%m-%d') as came_at, a.now_came_flights_ago as came_flights_ago,
+    p.place, o.outcome, o.work_orders
 from alert_states as a
 left join alert_outcomes as o on a.alert_id = o.alert_id
 left join open_alerts as p on a.alert_id = p.alert_id
@@ -52,6 +54,8 @@ select
 from prognoses as p
 left join lives as l
     on p.operator = l.operator and p.tail = l.tail and p.pack = l.pack and p.component = l.component
+anti join open_messages as m
+    on p.operator = m.operator and p.tail = m.tail and p.pack = m.pack and p.component = m.component and m.is_pressing
 where p.rul_flights is not null and p.status <> 'prior_only'
 group by all
 order by all

@@ -1,6 +1,7 @@
 """Render a digest as text, as a page and as JSON."""
 
 import json
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,9 @@ def _alert(row: Row) -> str:
     to_do = f"{words.urgency(row)}: {row['work']}."
     if "case_id" not in row:
         return f"{to_do} No alert is open."
-    outlook = f" Flights left {words.flights_left(row)}." if row["rul_flights"] is not None else ""
+    came_at = date.fromisoformat(row["came_at"]) if row.get("came_at") else None
+    is_known = came_at or row["rul_flights"] is not None
+    outlook = f" Flights left {words.flights_left(row | {'came_at': came_at})}." if is_known else ""
     head = f"{words.diagnosis(row['diagnosis'])} since {row['since']}, {row['severity']}."
     return f"{head} {to_do}{outlook} [{row['case_id']}]"
 

@@ -188,7 +188,7 @@ def answers(facts: Facts, alert: Row) -> Row:
     order = sorted(ACTIONS, key=lambda a: (a != first, stops.get(a, {}).get("place") or len(ACTIONS)))
     return {
         "case": _case_lines(case) if case else [],
-        "sentences": [*_recurrence(alert), *(_due_lines(due) if due else ())],
+        "sentences": [*_recurrence(alert), *(_due_lines(due) if due and alert["now_came_at"] is None else ())],
         "until": next(map(_until, stops.values()), ""),
         "choices": [_choice(a, tasks.get(a), stops) for a in order if a in stops or a in tasks],
     }

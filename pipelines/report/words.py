@@ -197,7 +197,8 @@ def alert_state(alert: Row, moment: str) -> list[tuple[str, str]]:
     if alert["component"] not in WEARS:
         return []
     loss_name, digits = WEARS[alert["component"]]
-    outlook = {k: alert[f"{moment}_{k}"] for k in ("rul_flights", "rul_low", "rul_high", "p_event_50")}
+    columns = ("rul_flights", "rul_low", "rul_high", "p_event_50", "came_at", "came_flights_ago")
+    outlook = {k: alert.get(f"{moment}_{k}") for k in columns}
     return [
         (_(loss_name), share(alert[f"{moment}_loss"], alert[f"{moment}_loss_sd"], digits)),
         (_("Flights left (90 %)"), flights_left(outlook)),
@@ -208,8 +209,15 @@ def alert_state(alert: Row, moment: str) -> list[tuple[str, str]]:
 def flights_left(row: Row) -> str:
     """Format flights left with the 90 % interval, or only its lower end where no event is near.
 
-    300 stands for 300 or more, the forecast's horizon.
+    300 stands for 300 or more, the forecast's horizon. Of a message that has come its day and how many flights ago.
     """
+    if row.get("came_at") is not None:
+        return several(
+            "none since {day}, {n} flight ago",
+            "none since {day}, {n} flights ago",
+            row["came_flights_ago"],
+            day=day(row["came_at"]),
+        )
     rul, low, high, p = (row[k] for k in ("rul_flights", "rul_low", "rul_high", "p_event_50"))
     if rul is None:
         return _("not known")

@@ -15,8 +15,11 @@
 -- work_on: day of that work
 -- raised_at: when the oldest of the open alerts was raised
 -- found_clean_on: day of an inspection without a finding since the last flight
+-- message_at: time of the oldest message that nothing has answered
+-- message_flights: flights on which it came
+-- message_flown: flights since, the message's included
 -- Grain: operator, tail, pack, component. Reads: component_features, missing_estimates, unit_urgencies,
--- unestimated_units, alert_urgencies, clean_units, tables.components.
+-- unestimated_units, alert_urgencies, clean_units, open_messages, tables.components.
 create or replace view component_ranking as
 with latest as (
     select
@@ -86,8 +89,13 @@ judged as (
         u.work_action,
         u.work_on,
         a.raised_at,
-        q.found_clean_on
+        q.found_clean_on,
+        t.message_at,
+        t.n_flights as message_flights,
+        t.n_flown as message_flown
     from latest as l
+    left join open_messages as t
+        on l.operator = t.operator and l.tail = t.tail and l.pack = t.pack and l.component = t.component
     left join clean_units as q
         on l.operator = q.operator and l.tail = q.tail and l.pack = q.pack and l.component = q.component
     left join unestimated_units as u

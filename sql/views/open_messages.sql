@@ -6,6 +6,7 @@
 -- last_message_at: time of the newest
 -- n_flights: flights on which it came
 -- n_flown: flights since the oldest, its own included
+-- flights_ago: flights since the oldest, its own not counted
 -- is_supported: an alert of the component is open, or its message is likely by the prognosis (one in ten)
 -- is_pressing: it came on two flights or more, or it is supported
 -- Grain: operator, tail, pack, component. Reads: tables.raw_messages, tables.raw_maintenance, tables.features_work,
@@ -106,6 +107,7 @@ counted as (
         u.pack,
         u.component,
         count(*) filter (where f.departed_at >= u.first_departed_at) as n_flown,
+        count(*) filter (where f.departed_at > u.first_departed_at) as flights_ago,
         count(*) filter (where f.departed_at > u.last_departed_at) as n_since
     from unanswered as u
     inner join flights as f on u.operator = f.operator and u.tail = f.tail
@@ -134,6 +136,7 @@ judged as (
     select
         u.*,
         coalesce(c.n_flown, 0) as n_flown,
+        coalesce(c.flights_ago, 0) as flights_ago,
         coalesce(c.n_since, 0) as n_since,
         s.component is not null as is_supported
     from unanswered as u
@@ -152,6 +155,7 @@ select
     last_message_at,
     n_flights,
     n_flown,
+    flights_ago,
     is_supported,
     n_flights >= 2 or is_supported as is_pressing
 from judged

@@ -1,11 +1,14 @@
 -- What stands in the row of each pack, and of each unit of another component, in every output?
--- Chance, forecast and dates of a pack are those of its exchanger or compressor, whichever message is likelier.
+-- Chance, forecast and dates of a pack are those of its exchanger or compressor, whichever message has come or is
+-- likelier. To one that has come no flights are left, and none are given.
 -- component: of a unit that is no pack's; NULL for a pack
 -- outlook_component: component that chance, forecast and dates are of
 -- loss: of a pack its exchanger's
 -- loss_sd: its standard deviation
 -- raised_at: when the oldest of the open alerts was raised
 -- last_departed_at: departure of its last flight
+-- came_at: time of the oldest message that asks for work, by open_messages; NULL where none has come
+-- came_flights_ago: flights since
 -- alert_id: its most urgent open alert
 -- alert_component: component of that alert
 -- case_state: state of that alert's case, as in cases
@@ -21,7 +24,7 @@
 -- door_share: share of cruise with the ram door full open, median of ten flights [-]
 -- place: 1 is the most urgent; packs and other units have places of their own
 -- Grain: operator, tail, pack, component. Reads: fleet_ranking, component_ranking, unit_urgencies, due_dates,
--- alert_states, cases, data_gaps, flight_rates, tables.features, flights.
+-- open_messages, alert_states, cases, data_gaps, flight_rates, tables.features, flights.
 create or replace view unit_rows as
 with ranked as (
     select
@@ -59,6 +62,25 @@ with ranked as (
     from component_ranking
 ),
 
+messages_come as (
+    select
+        r.operator,
+        r.tail,
+        r.pack,
+        r.component,
+        min(m.message_at) as came_at,
+        arg_min(m.flights_ago, m.message_at) as came_flights_ago
+    from ranked as r
+    inner join open_messages as m
+        on
+            r.operator = m.operator
+            and r.tail = m.tail
+            and r.pack = m.pack
+            and list_contains(r.own_components, m.component)
+    where m.is_pressing
+    group by r.operator, r.tail, r.pack, r.component
+),
+
 likeliest as (
     select
         r.operator,
@@ -89,7 +111,10 @@ likeliest as (
     qualify
         row_number() over (
             partition by r.operator, r.tail, r.pack, r.component
-            order by u.chance desc nulls last, list_position(r.own_components, u.component) asc
+            order by
+                u.urgent_by is not distinct from 'message' desc,
+                u.chance desc nulls last,
+                list_position(r.own_components, u.component) asc
         ) = 1
 ),
 
@@ -183,9 +208,11 @@ select
     r.off_since,
     r.place,
     l.outlook_component,
-    l.rul_flights,
-    l.rul_low,
-    l.rul_high,
+    c.came_at,
+    c.came_flights_ago,
+    case when c.came_at is null then l.rul_flights end as rul_flights,
+    case when c.came_at is null then l.rul_low end as rul_low,
+    case when c.came_at is null then l.rul_high end as rul_high,
     l.p_event_50,
     l.chance,
     l.chance_kind,
@@ -224,9 +251,16 @@ left join likeliest as l
         and r.tail = l.tail
         and r.pack = l.pack
         and r.component is not distinct from l.component
+left join messages_come as c
+    on
+        r.operator = c.operator
+        and r.tail = c.tail
+        and r.pack = c.pack
+        and r.component is not distinct from c.component
 left join due_dates as d
     on
-        r.operator = d.operator
+        c.came_at is null
+        and r.operator = d.operator
         and r.tail = d.tail
         and r.pack = d.pack
         and l.outlook_component = d.component

@@ -64,6 +64,11 @@ def test_explain_has_the_same_words(sample_home, units):
     assert [(name, part) for name, part in parts if part not in texts[name]] == []
 
 
+def test_message_come_has_its_day():
+    come = UnitRow({"came_at": date(2024, 6, 9), "came_flights_ago": 9}, {})
+    assert come.flights_left() == "none since 2024-06-09, 9 flights ago"
+
+
 def test_message_phrase_has_one_noun():
     raised = UnitRow({"message_at": date(2024, 6, 9), "message_flights": 1, "message_flown": 4}, {})
     assert raised.message_phrase() == "message raised on 2024-06-09, not answered"

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 from answers import CHECKS, rows
 from scipy.stats import binomtest
-from small_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
+from small_catalog import OWN, START, alert, catalog, fill, flight, fouling, message, replaced
 
 from hdt_core.alerts.cases import UNOBSERVED
 from hdt_core.components import component_rows
@@ -381,6 +381,40 @@ def test_message_makes_pack_urgent(messages, urgency, shown):
     ranked = rows(con, "select urgency, message_at is not null from fleet_ranking")
 
     assert ranked == [(urgency, shown)]
+
+
+@pytest.mark.parametrize(
+    ("messages", "shown"),
+    [((70, 79), (None, None, 9)), ((79,), (126.0, 9.0, None))],
+    ids=["that asks for work", "that is in doubt"],
+)
+def test_no_flights_left_to_message_come(messages, shown):
+    con = flown_with(*messages, prognoses=[flight(79) | PROGNOSIS | {"p_event_50": 0.01}])
+
+    assert rows(con, "select rul_flights, rul_low, came_flights_ago from unit_rows") == [shown]
+
+
+def test_no_day_for_message_come():
+    con = flown_with(70, 79, prognoses=[flight(79) | PROGNOSIS])
+
+    assert rows(con, "select due_on, due_low_on, is_overdue from unit_rows") == [(None, None, False)]
+
+
+def test_message_come_decides_component_shown():
+    compressor = message(78, "21-51-CCFLOW"), message(79, "21-51-CCFLOW")
+    likelier = [flight(79) | PROGNOSIS, flight(79) | PROGNOSIS | {"component": "CC", "p_event_50": 0.02}]
+    con = flown_with(prognoses=likelier)
+    fill(con, raw_messages=list(compressor))
+
+    assert rows(con, "select outlook_component from unit_rows") == [("CC",)]
+
+
+def test_alert_has_day_of_message_come():
+    now = flight(79)
+    raised = alert("open", 60) | {"now_flight_id": now["flight_id"]}
+    con = flown_with(70, 79, prognoses=[now | PROGNOSIS], features_alerts=[raised])
+
+    assert rows(con, "select now_rul_flights, now_came_flights_ago from alert_states") == [(None, 9)]
 
 
 @pytest.mark.parametrize("work", [replaced(79), replaced(79, "NO_FAULT_FOUND") | {"action": "INSPECTED"}])
