@@ -12,8 +12,8 @@ from hdt_core.alerts.succession import KINDS_OF_NIGHT, WITHDRAW
 from hdt_core.components.declaration import FAULTS, NO_FAULT
 from hdt_core.loading import UserError
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.catalog import connect, fetch_dicts
-from pipelines.storage.publication import publish_lines
+from pipelines.storage.catalog import fetch_dicts
+from pipelines.storage.publication import connect_current, publish_lines
 
 _CODES = {"clean": NO_FAULT} | {code.lower(): code for code in FAULTS}
 """Findings of any part, as people enter them and as the maintenance log has them."""
@@ -202,7 +202,8 @@ OPEN = "state != 'closed'"
 _CASES = """
     with known as (select alert_id, list(known_as) as names from alert_cases group by alert_id)
     select
-        c.*, s.sensor, s.now_loss, s.now_p_event_50, s.evidence_now, s.recommended_action, s.follows, k.names,
+        c.*, s.sensor, s.now_loss, s.now_p_event_50, s.evidence_now, s.evidence_now_phrases,
+        s.recommended_action, s.action_phrases, s.follows, k.names,
         s.closed_on,
         coalesce(s.closed_at, s.now_departed_at) as open_until,
         coalesce(n.key_operator, c.operator) as key_operator, coalesce(n.key_tail, c.tail) as key_tail
@@ -228,7 +229,7 @@ def list_cases(home: Path, where: str = OPEN, **values: Any) -> list[dict[str, A
         Values of its `$name` places.
     """
     publish_lines(home)
-    with connect(home) as con:
+    with connect_current(home) as con:
         query = f"{_CASES} where {where} order by o.place nulls last, c.raised_at, c.alert_id"
         return fetch_dicts(con.execute(query, values))
 

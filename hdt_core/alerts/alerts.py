@@ -18,6 +18,7 @@ from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis, apply_inspections, c
 from hdt_core.alerts.disturbances import Disturbances, door_cases, find_disturbances
 from hdt_core.alerts.evidence import HIGH_SEVERITY_SHARE, declared_loss
 from hdt_core.alerts.facts import LossFacts
+from hdt_core.alerts.text import Figures, Text, TextList, to_json
 from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases, odds_above
 from hdt_core.components import Component
 from hdt_core.health.detection import persistent
@@ -36,9 +37,10 @@ Replacements = dict[tuple[Any, ...], list[datetime]]
 SCHEMA: dict[str, Any] = {
     "alert_id": pl.String, "operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String,
     "diagnosis": pl.String, "sensor": pl.String, "raised_flight_id": pl.String, "raised_at": pl.Datetime("us", "UTC"),
-    "closed_at": pl.Datetime("us", "UTC"), "severity": pl.String, "evidence": pl.String,
-    "recommended_action": pl.String, "raised_severity": pl.String, "now_flight_id": pl.String,
-    "evidence_now": pl.String, "closed_reason": pl.String, "follows": pl.String, "units_in_90_days": pl.Int64,
+    "closed_at": pl.Datetime("us", "UTC"), "severity": pl.String, "evidence": pl.String, "evidence_phrases": pl.String,
+    "recommended_action": pl.String, "action_phrases": pl.String, "raised_severity": pl.String,
+    "now_flight_id": pl.String, "evidence_now": pl.String, "evidence_now_phrases": pl.String,
+    "closed_reason": pl.String, "follows": pl.String, "units_in_90_days": pl.Int64,
 }  # fmt: skip
 
 
@@ -100,15 +102,17 @@ def _alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnos
     last = (n_flights if end is None else end) - 1
     since = str(grid.value("flight_id", case.unit, int(case.facts["since"])))
     at_raise, latest = (kind.facts(grid, case, flight) for flight in (case.raised_flight, last))
+    at_first = kind.evidence(at_raise, since)
+    now = kind.evidence(latest, since)
     units = _count_units(grid, replacements, case, kind)
+    action = TextList([*_action_of(kind, units), *kind.addendum(at_raise)])
     return (
         alert_id_of(grid, case), operator, tail, pack, case.component, case.diagnosis, sensor_of(case),
         grid.value("flight_id", case.unit, case.raised_flight),
         grid.value("departed_at", case.unit, case.raised_flight),
         case.ended_at if end is None else grid.value("departed_at", case.unit, end),
-        kind.severity(latest), kind.evidence(at_raise, since).text(),
-        _action_of(kind, units) + kind.addendum(at_raise), kind.severity(at_raise),
-        grid.value("flight_id", case.unit, last), kind.evidence(latest, since).text(),
+        kind.severity(latest), at_first.text(), at_first.to_json(), action, to_json(action), kind.severity(at_raise),
+        grid.value("flight_id", case.unit, last), now.text(), now.to_json(),
         case.ended_reason if end is None else case.closed_reason, case.facts.get("follows"), units,
     )  # fmt: skip
 
@@ -135,12 +139,13 @@ def _count_units(grid: Grid, replacements: Replacements, case: Case, kind: Diagn
     return 1 + sum(raised_at - timedelta(REPEAT_DAYS) < moment <= raised_at for moment in moments)
 
 
-def _action_of(kind: Diagnosis[Any], units: int | None) -> str:
+def _action_of(kind: Diagnosis[Any], units: int | None) -> list[Text]:
     """Return the action, after a search for the cause where units at a position are replaced too often."""
+    action = Text.whole(kind.action)
     if units is None or units < REPEAT_UNITS:
-        return kind.action
-    action = f"{kind.action[0].lower()}{kind.action[1:]}"
-    return phrases.UPSTREAM.format(units=units, days=REPEAT_DAYS) + phrases.THEN + action
+        return [action]
+    upstream = Text(phrases.UPSTREAM, units=Figures(str(units)), days=Figures(str(REPEAT_DAYS)))
+    return [upstream, Text(phrases.THEN), action.continued()]
 
 
 VALUES = {

@@ -19,6 +19,7 @@ from hdt_core.alerts import evidence
 from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, alert_id_of, fact_after, runs, sensor_of
 from hdt_core.alerts.evidence import Evidence
 from hdt_core.alerts.facts import CompressorFacts, DoorFacts, ExchangerFacts, Facts, MarginFacts, SensorFacts
+from hdt_core.alerts.text import Text
 from hdt_core.alerts.wear import RISE_MARGIN
 from hdt_core.components.declaration import INSPECTED, NO_FAULT
 from hdt_core.components.pack import CC, HX
@@ -49,7 +50,7 @@ class Diagnosis(Generic[F]):
     evidence : callable
         Evidence by the facts of a moment and the flight since which the finding holds.
     addendum : callable, optional
-        Text that the facts add to the action.
+        Texts that the facts add to the action.
     ended_by_sound : bool
         Whether an inspection of the component without a finding ends the case.
     """
@@ -62,7 +63,7 @@ class Diagnosis(Generic[F]):
     record: type[F]
     severity: Callable[[F], str]
     evidence: Callable[[F, str], Evidence]
-    addendum: Callable[[F], str] = lambda facts: ""
+    addendum: Callable[[F], tuple[Text, ...]] = lambda facts: ()
     ended_by_sound: bool = True
 
     def facts(self, grid: Grid, case: Case, flight: int) -> F:

@@ -1,5 +1,6 @@
 """Evidence of each diagnosis: what changed and since when, observations for and against it, the cost of waiting."""
 
+import json
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -17,10 +18,12 @@ from hdt_core.alerts.facts import (
     SensorFacts,
 )
 from hdt_core.alerts.fault_isolation import is_of_both_packs
+from hdt_core.alerts.text import Column, Figures, Text, TextList, as_parts
 from hdt_core.components import Component
 from hdt_core.robust import Z_90
 
 SUPPORTS, NEUTRAL, AGAINST = ROLES = ("Supports", "Neutral", "Against")
+ELSE = "Else"
 
 
 class Corroboration(NamedTuple):
@@ -36,7 +39,7 @@ class Evidence:
 
     Attributes
     ----------
-    finding : str
+    findings : tuple of str
         What changed, by how much, since when.
     corroborations : tuple of Corroboration
         Other observations, each with its role.
@@ -46,16 +49,31 @@ class Evidence:
         Cost of waiting.
     """
 
-    finding: str
+    findings: tuple[str, ...]
     corroborations: tuple[Corroboration, ...]
     otherwise: str
     waiting: str
 
-    def text(self) -> str:
-        """Return one paragraph: the finding, its corroborations by role, the alternatives, the cost."""
+    def sections(self) -> list[tuple[str, TextList]]:
+        """Return the findings, their corroborations by role, the alternatives and the cost, each with its label."""
         by_role = ((role, [w.text for w in self.corroborations if w.role == role]) for role in ROLES)
-        sentences = [f"{role}: {'; '.join(texts)}." for role, texts in by_role if texts]
-        return " ".join([f"{self.finding}.", *sentences, f"Else: {self.otherwise}.", f"{self.waiting}."])
+        of_roles = [(role, texts) for role, texts in by_role if texts]
+        sections = [("", list(self.findings)), *of_roles, (ELSE, [self.otherwise]), ("", [self.waiting])]
+        return [(label, TextList(map(Text.whole, texts), "; ")) for label, texts in sections]
+
+    def text(self) -> str:
+        """Return one paragraph in English, a sentence a section."""
+        return " ".join(f"{label}: {texts}." if label else f"{capitalised(texts)}." for label, texts in self.sections())
+
+    def to_json(self) -> str:
+        """Write the sections as a list of `{"label": ..., "texts": ...}`: see `text.as_parts`."""
+        sections = [{"label": label, "texts": as_parts(texts)} for label, texts in self.sections()]
+        return json.dumps(sections, ensure_ascii=False, separators=(",", ":"))
+
+
+def capitalised(text: str) -> str:
+    """Begin a sentence with a capital letter."""
+    return text[:1].upper() + text[1:]
 
 
 PEG_SD_K = 0.33
@@ -89,12 +107,12 @@ def flights_left(facts: ExchangerFacts) -> float | None:
     return max((FAILS_AT - facts.hx_fouling) / slope, 0.0) if slope > 1e-5 else None
 
 
-def sensor_addendum(facts: SensorFacts) -> str:
+def sensor_addendum(facts: SensorFacts) -> tuple[Text, ...]:
     """Return the sensor by what it measures; of a contradiction, what to compare."""
     if facts.kind == CONTRADICTED:
-        return phrases.COMPARE.format(day=facts.looked_on)
+        return (Text(phrases.COMPARE, day=facts.looked_on),)
     phrase = phrases.BOTH_NAMED if _is_of_both_packs(facts) else phrases.SENSOR_NAMED
-    return phrase.format(sensor=phrases.plain_name(facts.sensor))
+    return (Text(phrase, sensor=phrases.plain_name(facts.sensor)),)
 
 
 def _is_of_both_packs(facts: SensorFacts) -> bool:
@@ -109,17 +127,21 @@ def within(value: float, sd: float, digits: int = 0) -> str:
     >>> within(0.34, 0.01)
     '34 % (32 to 36)'
     """
-    low, high = (f"{100.0 * (value + side * Z_90 * sd):.{digits}f}" for side in (-1, 1))
-    return phrases.WITHIN.format(value=f"{100.0 * value:.{digits}f}", low=low, high=high)
+    low, high = (_percent(value + side * Z_90 * sd, digits) for side in (-1, 1))
+    return Text(phrases.WITHIN, value=_percent(value, digits), low=low, high=high)
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f}"
+def _percent(share: float, digits: int = 0) -> Figures:
+    return _figures(100.0 * share, digits)
+
+
+def _figures(value: float, digits: int = 0, unit: str = "") -> Figures:
+    return Figures(f"{value:.{digits}f}", unit)
 
 
 def _probability(p: float) -> str:
     """Format a probability, capped below certainty."""
-    return phrases.ABOVE.format(value=0.99) if p > 0.99 else f"{p:.2f}"
+    return Text(phrases.ABOVE, value=Figures("0.99")) if p > 0.99 else _figures(p, 2)
 
 
 def chance_above(value: float, limit: float, sd: float) -> str:
@@ -127,11 +149,12 @@ def chance_above(value: float, limit: float, sd: float) -> str:
     return _probability(float(ndtr((value - limit) / max(sd, 1e-6))))
 
 
-def loss_finding(phrase: str, loss: float, sd: float, limit: float, since: str, digits: int = 0, **names: str) -> str:
+def loss_finding(phrase: str, loss: float, sd: float, limit: float, since: str, digits: int = 0, **names: str) -> Text:
     """Format a loss with its interval, its distance from 0, and the probability that it exceeds the limit."""
-    return phrase.format(
+    return Text(
+        phrase,
         loss=within(loss, sd, digits),
-        sigma=f"{loss / max(sd, 1e-6):.0f}",
+        sigma=_figures(loss / max(sd, 1e-6)),
         limit=_percent(limit),
         since=since,
         odds=chance_above(loss, limit, sd),
@@ -139,9 +162,9 @@ def loss_finding(phrase: str, loss: float, sd: float, limit: float, since: str, 
     )
 
 
-def trend(slope: float) -> list[str]:
+def trend(slope: float) -> list[Text]:
     """Format the growth of a loss over thirty flights; empty where it does not grow."""
-    return [phrases.TREND.format(points=f"{1000 * slope:.1f}")] if slope > 1e-5 else []
+    return [Text(phrases.TREND, points=_figures(1000.0 * slope, 1))] if slope > 1e-5 else []
 
 
 def exchanger(facts: ExchangerFacts, since: str, clean_flow: str = NEUTRAL) -> Evidence:
@@ -151,7 +174,7 @@ def exchanger(facts: ExchangerFacts, since: str, clean_flow: str = NEUTRAL) -> E
     findings = [loss_finding(phrases.UA_LOST, loss, sd, WEAR_LIMIT, since)]
     findings += trend(facts.hx_fouling_slope_30_per_flight)
     if facts.gained > loss + 2.0 * sd:
-        findings.append(phrases.RISE.format(points=_percent(facts.gained)))
+        findings.append(Text(phrases.RISE, points=_percent(facts.gained)))
     # a blockage starves the ram flow, a film does not; known where the ram outlet is measured
     ram_flow = graded(
         facts.ram_flow_loss,
@@ -159,13 +182,14 @@ def exchanger(facts: ExchangerFacts, since: str, clean_flow: str = NEUTRAL) -> E
         (-math.inf, clean_flow, phrases.FLOW_CLEAN),
     )
     corroborations = (_full_open(facts), *_beside(facts), *ram_flow)
-    return Evidence("; ".join(findings), corroborations, phrases.EXCHANGER_ELSE, phrases.EXCHANGER_COSTS)
+    return Evidence(tuple(findings), corroborations, phrases.EXCHANGER_ELSE, phrases.EXCHANGER_COSTS)
 
 
 def clog(facts: ExchangerFacts, since: str) -> Evidence:
     """Return the evidence of a sudden clog: fouling with a jump too fast for wear."""
     fouling = exchanger(facts, since, AGAINST)
-    return replace(fouling, finding=f"{fouling.finding}; " + phrases.JUMP.format(points=_percent(facts.jump)))
+    jump = Text(phrases.JUMP, points=_percent(facts.jump))
+    return replace(fouling, findings=(*fouling.findings, jump))
 
 
 def graded(value: float, *grades: tuple[float, str, str]) -> tuple[Corroboration, ...]:
@@ -176,7 +200,7 @@ def graded(value: float, *grades: tuple[float, str, str]) -> tuple[Corroboration
     percent = _percent(abs(value))
     for limit, role, phrase in grades:
         if value > limit:
-            return (Corroboration(role, phrase.format(share=percent, points=percent)),)
+            return (Corroboration(role, Text(phrase, share=percent, points=percent)),)
     return ()
 
 
@@ -186,7 +210,7 @@ def _full_open(facts: ExchangerFacts) -> Corroboration:
     if math.isnan(share):
         return Corroboration(NEUTRAL, phrases.DOOR_UNKNOWN)
     role, phrase = (NEUTRAL, phrases.DOOR_SPARE) if share < FULL_OPEN_SHARE else (SUPPORTS, phrases.DOOR_FULL)
-    return Corroboration(role, phrase.format(share=_percent(share)))
+    return Corroboration(role, Text(phrase, share=_percent(share)))
 
 
 def _beside(facts: ExchangerFacts) -> tuple[Corroboration, ...]:
@@ -205,7 +229,8 @@ def _beside(facts: ExchangerFacts) -> tuple[Corroboration, ...]:
 
 def low_margin(facts: MarginFacts, since: str) -> Evidence:
     """Return the evidence of little reserve before the message, with its parts."""
-    finding = phrases.MARGIN.format(
+    finding = Text(
+        phrases.MARGIN,
         margin=_kelvin(facts.hx_margin_k),
         hot_day=_kelvin(facts.hx_margin_hot_day_k),
         odds=_probability(facts.hx_passage_300),
@@ -218,21 +243,23 @@ def low_margin(facts: MarginFacts, since: str) -> Evidence:
         (phrases.BY_AIR, facts.hx_margin_ambient_k),
         (phrases.BY_WEAR, facts.hx_margin_wear_k),
     )
-    shares = ", ".join(phrase.format(k=f"{k:+.0f}") for phrase, k in parts if not math.isnan(k))
-    corroborations = [Corroboration(NEUTRAL, phrases.MARGIN_PARTS.format(parts=shares))] if shares else []
+    shares = TextList((Text(phrase, k=Figures(f"{k:+.0f}", "K")) for phrase, k in parts if not math.isnan(k)), ", ")
+    corroborations = [Corroboration(NEUTRAL, Text(phrases.MARGIN_PARTS, parts=shares))] if shares else []
     loss = within(facts.hx_fouling, facts.hx_fouling_sd)
-    corroborations.append(Corroboration(NEUTRAL, phrases.NOT_WEAR_ALONE.format(loss=loss)))
+    corroborations.append(Corroboration(NEUTRAL, Text(phrases.NOT_WEAR_ALONE, loss=loss)))
     if facts.overheat_p20_k > 1.0:
-        corroborations.append(Corroboration(SUPPORTS, phrases.WARM_OUTLET.format(k=f"{facts.overheat_p20_k:.0f}")))
-    return Evidence(finding, (*corroborations, _full_open(facts)), phrases.MARGIN_ELSE, phrases.MARGIN_COSTS)
+        corroborations.append(
+            Corroboration(SUPPORTS, Text(phrases.WARM_OUTLET, k=_figures(facts.overheat_p20_k, unit="K")))
+        )
+    return Evidence((finding,), (*corroborations, _full_open(facts)), phrases.MARGIN_ELSE, phrases.MARGIN_COSTS)
 
 
 def _kelvin(margin_k: float) -> str:
     """Format a margin as a distance below or above a level."""
     if math.isnan(margin_k):
-        return phrases.FAR_UNKNOWN
+        return Text(phrases.FAR_UNKNOWN)
     phrase = phrases.BELOW_BY if margin_k >= 0.0 else phrases.ABOVE_BY
-    return phrase.format(k=f"{abs(margin_k):.0f}")
+    return Text(phrase, k=_figures(abs(margin_k), unit="K"))
 
 
 def compressor(facts: CompressorFacts, since: str) -> Evidence:
@@ -242,12 +269,13 @@ def compressor(facts: CompressorFacts, since: str) -> Evidence:
     change = facts.shrunk
     if not math.isnan(loss):
         finding = loss_finding(phrases.COMPRESSOR, loss, sd, WEAR_LIMIT, since, digits=1)
-        return Evidence(finding, _diameter(facts), phrases.COMPRESSOR_ELSE, phrases.COMPRESSOR_COSTS)
-    smaller = f"{-100 * change:.1f}"
-    sigma = f"{-change / DIAMETER_SD:.1f}"
-    finding = phrases.SMALLER_DIAMETER.format(share=smaller, sigma=sigma, since=since)
+        return Evidence((finding,), _diameter(facts), phrases.COMPRESSOR_ELSE, phrases.COMPRESSOR_COSTS)
+    sigma = _figures(-change / DIAMETER_SD, 1)
+    finding = Text(phrases.SMALLER_DIAMETER, share=_percent(-change, 1), sigma=sigma, since=since)
     corroboration = Corroboration(NEUTRAL, phrases.NO_EFFICIENCY)
-    return Evidence(finding, (corroboration, *_reserve(facts)), phrases.SMALLER_DIAMETER_ELSE, phrases.COMPRESSOR_COSTS)
+    return Evidence(
+        (finding,), (corroboration, *_reserve(facts)), phrases.SMALLER_DIAMETER_ELSE, phrases.COMPRESSOR_COSTS
+    )
 
 
 def _diameter(facts: CompressorFacts) -> tuple[Corroboration, ...]:
@@ -257,7 +285,7 @@ def _diameter(facts: CompressorFacts) -> tuple[Corroboration, ...]:
     if math.isnan(loss):
         return ()
     role = SUPPORTS if loss > 0.25 * efficiency else NEUTRAL if loss > -DIAMETER_SD else AGAINST
-    return (Corroboration(role, phrases.DIAMETER_LOST.format(share=f"{100 * loss:.1f}")), *_reserve(facts))
+    return (Corroboration(role, Text(phrases.DIAMETER_LOST, share=_percent(loss, 1))), *_reserve(facts))
 
 
 def _reserve(facts: CompressorFacts) -> tuple[Corroboration, ...]:
@@ -276,15 +304,13 @@ def door(facts: DoorFacts, since: str) -> Evidence:
     stop = _percent(facts.stop)
     if facts.kind == "jam":
         flickers = Corroboration(SUPPORTS, phrases.FLICKERS)
-        finding = phrases.JAM.format(stop=stop, since=since)
-        return Evidence(finding, (flickers,), phrases.JAM_ELSE, phrases.JAM_COSTS)
+        finding = Text(phrases.JAM, stop=stop, since=since)
+        return Evidence((finding,), (flickers,), phrases.JAM_ELSE, phrases.JAM_COSTS)
     excess_k = facts.excess_k
-    finding = phrases.SHORT_TRAVEL.format(
-        stop=stop, since=since, k=f"{excess_k:.1f}", sigma=f"{excess_k / PEG_SD_K:.0f}"
-    )
-    return Evidence(
-        finding, (Corroboration(SUPPORTS, phrases.ON_TARGET),), phrases.SHORT_TRAVEL_ELSE, phrases.SHORT_TRAVEL_COSTS
-    )
+    sigma = _figures(excess_k / PEG_SD_K)
+    finding = Text(phrases.SHORT_TRAVEL, stop=stop, since=since, k=_figures(excess_k, 1, "K"), sigma=sigma)
+    on_target = Corroboration(SUPPORTS, phrases.ON_TARGET)
+    return Evidence((finding,), (on_target,), phrases.SHORT_TRAVEL_ELSE, phrases.SHORT_TRAVEL_COSTS)
 
 
 def sensor(facts: SensorFacts, since: str) -> Evidence:
@@ -292,48 +318,53 @@ def sensor(facts: SensorFacts, since: str) -> Evidence:
     if facts.kind == CONTRADICTED:
         return _contradiction(facts, since)
     name = phrases.plain_name(facts.sensor)
-    name = name[:1].upper() + name[1:]
     if facts.kind == "dropout":
-        finding = phrases.DROPOUT.format(sensor=name, share=_percent(facts.share), since=since)
-        return Evidence(finding, (), phrases.DROPOUT_ELSE, phrases.SENSOR_COSTS)
+        finding = Text(phrases.DROPOUT, sensor=name, share=_percent(facts.share), since=since)
+        return Evidence((finding,), (), phrases.DROPOUT_ELSE, phrases.SENSOR_COSTS)
     if facts.kind == "frozen":
-        return Evidence(phrases.FROZEN.format(sensor=name, since=since), (), phrases.FROZEN_ELSE, phrases.SENSOR_COSTS)
-    finding = phrases.SENSOR_SHIFT.format(
+        finding = Text(phrases.FROZEN, sensor=name, since=since)
+        return Evidence((finding,), (), phrases.FROZEN_ELSE, phrases.SENSOR_COSTS)
+    finding = Text(
+        phrases.SENSOR_SHIFT,
         sensor=name,
         check=phrases.plain_name(facts.channel),
         moved=_amount(facts.channel, facts.moved),
-        sigma=f"{facts.sigma:.1f}",
+        sigma=_figures(facts.sigma, 1),
         since=since,
     )
-    corroborations = [Corroboration(SUPPORTS, phrases.SENSOR_FITS.format(odds=_probability(facts.p)))]
+    corroborations = [Corroboration(SUPPORTS, Text(phrases.SENSOR_FITS, odds=_probability(facts.p)))]
     if _is_of_both_packs(facts):
         corroborations.append(Corroboration(SUPPORTS, phrases.BOTH_SENSORS))
-    return Evidence(finding, tuple(corroborations), phrases.SENSOR_ELSE, phrases.SENSOR_COSTS)
+    return Evidence((finding,), tuple(corroborations), phrases.SENSOR_ELSE, phrases.SENSOR_COSTS)
 
 
 def _contradiction(facts: SensorFacts, since: str) -> Evidence:
     """Return the evidence against the sensors of a part whose loss grows on though an inspection cleared it."""
-    finding = phrases.FOUND_CLEAN[facts.of].format(
-        day=facts.looked_on, level=_percent(facts.level), loss=_percent(facts.loss), since=since
+    finding = Text(
+        phrases.FOUND_CLEAN[facts.of],
+        day=facts.looked_on,
+        level=_percent(facts.level),
+        loss=_percent(facts.loss),
+        since=since,
     )
     corroborations = (Corroboration(SUPPORTS, phrases.CLEAN_LOSES_NOTHING),)
-    return Evidence(finding, corroborations, phrases.CLEAN_ELSE, phrases.SENSOR_COSTS)
+    return Evidence((finding,), corroborations, phrases.CLEAN_ELSE, phrases.SENSOR_COSTS)
 
 
-def _amount(check: str, shift: float) -> str:
+def _amount(check: str, shift: float) -> Figures:
     """Format the shift of a check: in K, or for a logarithm in per cent."""
-    return f"{shift:+.2f} K" if check.endswith("_k") else f"{100.0 * shift:+.1f} %"
+    return Figures(f"{shift:+.2f}", "K") if check.endswith("_k") else Figures(f"{100.0 * shift:+.1f}", "%")
 
 
 def declared_loss(component: Component, limits: Limits, facts: LossFacts, since: str) -> Evidence:
     """Return the evidence of a declared component's wear, with the texts of the component's declaration."""
     loss = facts.loss
-    sd = facts.loss_sd
-    slope = facts.loss_slope_30_per_flight
-    lost = component.lost
-    name = component.loss
-    finding = loss_finding(phrases.UNIT_LOST, loss, sd, component.warn_loss, since, lost=lost, name=name)
-    fails = phrases.UNIT_FAILS.format(loss=within(component.limit.mean, component.limit.unit_sd))
+    lost = Text.whole(component.lost)
+    name = Column(component.loss)
+    warn_loss = component.warn_loss
+    finding = loss_finding(phrases.UNIT_LOST, loss, facts.loss_sd, warn_loss, since, lost=lost, name=name)
+    fails = Text(phrases.UNIT_FAILS, loss=within(component.limit.mean, component.limit.unit_sd))
     near = Corroboration(SUPPORTS if loss > HIGH_SEVERITY_SHARE * component.limit.mean else NEUTRAL, fails)
     sudden = graded(facts.loss_step_3, (limits.clog, NEUTRAL, phrases.UNIT_STEP))
-    return Evidence("; ".join([finding, *trend(slope)]), (near, *sudden), component.otherwise, component.waiting)
+    findings = (finding, *trend(facts.loss_slope_30_per_flight))
+    return Evidence(findings, (near, *sudden), component.otherwise, component.waiting)

@@ -1,10 +1,13 @@
 """Phrases of evidence, each declared once with its values as `{name}`, and plain names of signals and cross checks.
 
-Translations cover all of `PHRASES`. A value is a number, a name or another phrase.
+Translations cover all of `PHRASES`. A value is a number, a name or another phrase; a field that is a column of the
+catalog, such as `{hx_fouling}`, stands for its name in parentheses.
 """
 
+from hdt_core.alerts.text import Column, Text
+
 UA_LOST = (
-    "Heat transfer lost (hx_fouling) {loss}, {sigma} times its uncertainty; above {limit} % since {since}, and with "
+    "Heat transfer lost{hx_fouling} {loss}, {sigma} times its uncertainty; above {limit} % since {since}, and with "
     "probability {odds}"
 )
 WITHIN = "{value} % ({low} to {high})"
@@ -30,47 +33,47 @@ MARGIN = (
     "{hot_day} it on a hot day (ISA + 15 K); message 21-52-HXTEMP within 300 flights with probability {odds} by "
     "physics alone, likely since {since}"
 )
-BELOW_BY = "{k} K below"
-ABOVE_BY = "{k} K above"
+BELOW_BY = "{k} below"
+ABOVE_BY = "{k} above"
 FAR_UNKNOWN = "at an unknown distance from"
 MARGIN_PARTS = "what makes the margin: {parts}"
-BY_DESIGN, BY_TARGET, BY_FLOW = "the design gives {k} K", "target {k} K", "flow {k} K"
-BY_AIR, BY_WEAR = "air outside {k} K", "wear and build {k} K"
-NOT_WEAR_ALONE = "Heat transfer lost (hx_fouling) {loss}: wear alone does not explain it"
-WARM_OUTLET = "on the last flight the outlet was {k} K above its level, door full open"
+BY_DESIGN, BY_TARGET, BY_FLOW = "the design gives {k}", "target {k}", "flow {k}"
+BY_AIR, BY_WEAR = "air outside {k}", "wear and build {k}"
+NOT_WEAR_ALONE = "Heat transfer lost{hx_fouling} {loss}: wear alone does not explain it"
+WARM_OUTLET = "on the last flight the outlet was {k} above its level, door full open"
 MARGIN_ELSE = "a cooler season, or an outlet sensor that reads high"
 MARGIN_COSTS = "Waiting costs the message on a hot day, and an exchanger that is taken off in vain"
 
 COMPRESSOR = (
-    "Compressor efficiency (cc_efficiency_loss) lost {loss} against expectation, {sigma} times its uncertainty, "
+    "Compressor efficiency{cc_efficiency_loss} lost {loss} against expectation, {sigma} times its uncertainty, "
     "likely since "
     "{since}; worn at all (above {limit} %) with probability {odds}"
 )
 COMPRESSOR_ELSE = "a drifting exit temperature sensor"
 COMPRESSOR_COSTS = "Waiting costs compressor power and, in the end, a flow message (21-51-CCFLOW)"
 SMALLER_DIAMETER = (
-    "Effective diameter (cc_effective_diameter_m) is {share} % below this unit's own first flights, {sigma} times the "
+    "Effective diameter{cc_effective_diameter_m} is {share} % below this unit's own first flights, {sigma} times the "
     "scatter of a flight and summed up beyond doubt (CUSUM), likely since {since}"
 )
 NO_EFFICIENCY = "no efficiency to compare with: the exit temperature is not recorded"
 SMALLER_DIAMETER_ELSE = "a drifting speed or pressure sensor"
-DIAMETER_LOST = "effective diameter lost (cc_diameter_loss) {share} %"
+DIAMETER_LOST = "effective diameter lost{cc_diameter_loss} {share} %"
 DIAMETER_LEFT = (
-    "{share} % more of it (cc_diameter_left) may go before the flow of the last flight is no longer delivered"
+    "{share} % more of it{cc_diameter_left} may go before the flow of the last flight is no longer delivered"
 )
-TOO_SMALL = "at its highest speed {share} % too small (cc_diameter_left) for the flow of the last flight"
-LEFT_HOT_HIGH = "at 41,000 ft on a hot day, ISA + 15 K, {share} % may go (cc_diameter_left_hot_high)"
-SMALL_HOT_HIGH = "at 41,000 ft on a hot day, ISA + 15 K, it is {share} % too small (cc_diameter_left_hot_high)"
+TOO_SMALL = "at its highest speed {share} % too small{cc_diameter_left} for the flow of the last flight"
+LEFT_HOT_HIGH = "at 41,000 ft on a hot day, ISA + 15 K, {share} % may go{cc_diameter_left_hot_high}"
+SMALL_HOT_HIGH = "at 41,000 ft on a hot day, ISA + 15 K, it is {share} % too small{cc_diameter_left_hot_high}"
 
 JAM = (
-    "The ram door (ram_door_open) stays at {stop} % from climb to descent since {since} while its controller's need "
+    "The ram door{ram_door_open} stays at {stop} % from climb to descent since {since} while its controller's need "
     "changes: less than 7 times its sensor's noise, on two of three flights"
 )
 FLICKERS = "its reading flickers, which that of a frozen sensor would not"
 JAM_ELSE = "a frozen sensor"
 JAM_COSTS = "Until repaired the outlet runs warm or cold, and the door can't make up for fouling"
 SHORT_TRAVEL = (
-    "The ram door (ram_door_open) goes no further than {stop} %: since {since} the outlet ran up to {k} K ({sigma} "
+    "The ram door{ram_door_open} goes no further than {stop} %: since {since} the outlet ran up to {k} ({sigma} "
     "times the scatter of a sound flight) above its target there"
 )
 ON_TARGET = "the outlet was on target wherever the door was not at that stop"
@@ -116,8 +119,9 @@ FOUND_CLEAN = {
 CLEAN_LOSES_NOTHING = "the inspection: a clean part loses nothing more"
 CLEAN_ELSE = "a film that the inspection could not see, or dust since"
 
+NAMED = "{name}{column}"
 UNIT_LOST = (
-    "{lost} ({name}) {loss}, {sigma} times its uncertainty; above {limit} % since {since}, and with probability {odds}"
+    "{lost}{name} {loss}, {sigma} times its uncertainty; above {limit} % since {since}, and with probability {odds}"
 )
 UNIT_FAILS = "it fails at about {loss}"
 UNIT_STEP = "{points} points came within three flights: a sudden event"
@@ -168,7 +172,7 @@ CHECKS = {
 """Cross checks of sensors."""
 
 
-def plain_name(code: str) -> str:
+def plain_name(code: str) -> Text:
     """Return the plain name of a signal or cross check, with its name in the catalog.
 
     Examples
@@ -176,4 +180,4 @@ def plain_name(code: str) -> str:
     >>> plain_name("hx_out_k")
     'outlet temperature of the exchanger (hx_out_k)'
     """
-    return f"{(SIGNALS | CHECKS)[code]} ({code})"
+    return Text(NAMED, name=Text((SIGNALS | CHECKS)[code]), column=Column(code))

@@ -297,10 +297,13 @@ class FeaturesAlerts(Table):
     )
     severity = text("low, medium or high, after now_flight_id", nullable=False)
     evidence = text("when raised: what moved, by how much, since when, and what corroborates it", nullable=False)
+    evidence_phrases = text("JSON: evidence in phrases and values, to be written in another language", nullable=False)
     recommended_action = text("what to do", nullable=False)
+    action_phrases = text("JSON: recommended_action in phrases and values", nullable=False)
     raised_severity = text("low, medium or high when raised", nullable=False)
     now_flight_id = text("last flight of the pack, or of a closed alert the last while it was open", nullable=False)
     evidence_now = text("the same as evidence, after now_flight_id", nullable=False)
+    evidence_now_phrases = text("JSON: evidence_now in phrases and values", nullable=False)
     closed_reason = text(
         "renewed (another or a repaired part flies), found_clean (an inspection found nothing) or recovered (the "
         "loss or fault is no longer estimated); null while open"

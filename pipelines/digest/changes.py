@@ -12,9 +12,8 @@ from pipelines.intake.faults import silent_columns
 from pipelines.intake.held import held_flights
 from pipelines.report.rows import read_rows, unit_key
 from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
-from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.publication import connect_as_of
+from pipelines.storage.publication import connect_as_of, connect_current
 
 State = dict[str, Any]
 """JSON: `until`; `alerts`, `closed` by case; `units` (to work on, without an alert) and `outlook` by unit; `gaps`,
@@ -32,7 +31,7 @@ select
     a.case_id, a.alert_id, a.operator, a.tail, a.pack, a.component, a.diagnosis, a.severity, a.urgency,
     strftime(a.raised_at at time zone 'UTC', '%Y-%m-%d') as since,
     a.closed_on::varchar as closed_on,
-    a.recommended_action, a.evidence_now as evidence,
+    a.recommended_action, a.action_phrases, a.units_in_90_days, a.evidence_now as evidence,
     a.now_rul_flights as rul_flights, a.now_rul_low as rul_low, a.now_rul_high as rul_high,
     a.now_p_event_50 as p_event_50, n.choice,
     strftime(a.now_came_at at time zone 'UTC', '%Y-%m-%d') as came_at, a.now_came_flights_ago as came_flights_ago,
@@ -161,7 +160,7 @@ def changes_since(home: Path, night: str | None = None) -> Digest:
     StoreError
         There was no night by then, or it is no longer stored.
     """
-    with connect(home) as con:
+    with connect_current(home) as con:
         now = read_state(con, read_tasks(home))
     nights = list(Ledger(home, read_only=True).snapshots())
     if night is None and len(nights) < 2:

@@ -23,9 +23,9 @@ from pipelines.digest.changes import EMPTY, Digest, Row, State, compare, read_st
 from pipelines.digest.declaration import NotifyError, Receiver, check_url, receivers_of
 from pipelines.digest.render import as_html, as_json, as_text, as_webhook, subject, write_digest
 from pipelines.report.tasks import read_tasks
-from pipelines.storage.catalog import connect
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.publication import connect_current
 from pipelines.versions import digest as hash_text
 
 TIMEOUT_S = 20.0
@@ -164,7 +164,7 @@ def send_digests(home: Path) -> list[str]:
         waiting = [r for r in receivers if record.get(r.name, {}).get("night") != night]
         if not waiting or not night:
             return []
-        with connect(home) as con:
+        with connect_current(home) as con:
             now = read_state(con, read_tasks(home))
     except Exception as error:  # the night is published whether or not its digest can be sent
         return [f"no digest was sent: {error}"]
@@ -175,7 +175,7 @@ def send_digests(home: Path) -> list[str]:
 
 def send_trial(home: Path) -> list[tuple[str, str]]:
     """Send every receiver the present state as if it were new, record nothing; return each name and its error."""
-    with connect(home) as con:
+    with connect_current(home) as con:
         now = read_state(con, read_tasks(home))
     results = []
     for receiver in receivers_of(home):

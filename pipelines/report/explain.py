@@ -11,9 +11,10 @@ from hdt_core.loading import UserError
 from pipelines.report import words
 from pipelines.report.rows import UnitRow, read_rows
 from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
-from pipelines.storage.catalog import connect, fetch_dicts
-from pipelines.storage.publication import publish_lines
+from pipelines.storage.catalog import fetch_dicts
+from pipelines.storage.publication import connect_current, publish_lines
 from pipelines.words import ENGLISH, _, language
+from pipelines.words.evidence import WITH_COLUMNS, action_text, evidence_text
 
 Row = dict[str, Any]
 _UNIT = "a.operator = $1 and a.tail = $2 and a.pack = $3 and a.component"
@@ -38,7 +39,7 @@ def explain(home: Path, name: str) -> str | None:
     """
     tasks = read_tasks(home)
     publish_lines(home)
-    with connect(home) as con:
+    with connect_current(home) as con:
         units = _named_units(con, tasks, name)
         packs = [unit for unit in units if unit["component"] is None]
         if units:
@@ -142,8 +143,8 @@ def _alert_lines(a: Row) -> list[str]:
     same = a["evidence"] == a["evidence_now"]
     severity = a["severity"]
     at_first = a["raised_severity"]
-    then = words.tidy(a["evidence"]) if same else words.finding(a["evidence"])
-    now = _("unchanged.") if same else _numbers(a, "now") + words.tidy(a["evidence_now"])
+    then = evidence_text(a["evidence_phrases"], WITH_COLUMNS, has_alternatives=same)
+    now = _("unchanged.") if same else _numbers(a, "now") + evidence_text(a["evidence_now_phrases"], WITH_COLUMNS)
     at_last = _("At its end") if is_closed else _("Now")
     return [
         _("{pack}: {diagnosis}, {state}. Alert {id}.", pack=f"{a['operator']} {words.unit_name(a)}", state=state,
@@ -153,7 +154,7 @@ def _alert_lines(a: Row) -> list[str]:
         _("{moment} (after {flight}, {severity}): {evidence}", moment=at_last, flight=a["now_flight_id"],
           severity=_(severity), evidence=now),
         _("Work: {work}", work=a["work"]),
-        _("Recommended: {action}", action=words.plain(a["recommended_action"])),
+        _("Recommended: {action}", action=action_text(a["action_phrases"])),
     ]  # fmt: skip
 
 

@@ -11,8 +11,7 @@ import polars as pl
 from hdt_core.calibration.dsm import Dsm
 from pipelines.report.rows import UnitRow, dates_line, read_rows
 from pipelines.report.tasks import Tasks, read_tasks
-from pipelines.storage.catalog import connect
-from pipelines.storage.publication import publish_lines
+from pipelines.storage.publication import connect_current, publish_lines
 from pipelines.storage.view_headers import views
 
 _SEGMENT = """
@@ -114,7 +113,7 @@ def read_facts(home: Path, *, units_only: bool = False) -> Facts:
     """Read the facts of a home, all or those of its units."""
     publish_lines(home)
     tasks = read_tasks(home)
-    with connect(home) as con:
+    with connect_current(home) as con:
         names = [name for name in _FRAMES if not (units_only and name in _OF_NO_UNIT)]
         frames = {name: con.sql(_FRAMES[name]).pl() for name in names}
         if not units_only:

@@ -9,7 +9,8 @@ import duckdb
 
 from pipelines.report import words
 from pipelines.report.tasks import Task, Tasks, action_of, describe_action, read_tasks, tasks_of
-from pipelines.storage.catalog import connect, fetch_dicts, nights_of
+from pipelines.storage.catalog import fetch_dicts, nights_of
+from pipelines.storage.publication import connect_current
 from pipelines.words import _, number
 
 Row = dict[str, Any]
@@ -179,7 +180,7 @@ def dates_line(con: duckdb.DuckDBPyConnection) -> str:
 def rows_of(home: Path) -> list[UnitRow]:
     """Read the rows of a home."""
     tasks = read_tasks(home)
-    with connect(home) as con:
+    with connect_current(home) as con:
         return read_rows(con, tasks)
 
 
@@ -193,6 +194,8 @@ def silence_lines(units: Iterable[UnitRow]) -> list[str]:
 def subject_of(row: Row) -> Row:
     """Return what a row's work is about: its most urgent alert or, without one, its component."""
     if row["alert_id"]:
-        return {c: row[c] for c in ("diagnosis", "recommended_action")} | {"component": row["alert_component"]}
+        return {c: row[c] for c in ("diagnosis", "action_phrases", "units_in_90_days")} | {
+            "component": row["alert_component"]
+        }
     part = row["outlook_component"] or row["component"] or "HX"
-    return {"diagnosis": part, "component": part, "recommended_action": ""}
+    return {"diagnosis": part, "component": part, "action_phrases": "", "units_in_90_days": None}

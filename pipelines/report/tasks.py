@@ -1,21 +1,20 @@
 """Read the work of each action (minutes, people, tools, part, zone, task) and choose the one action of an alert."""
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from hdt_core.alerts.alerts import REPEAT_UNITS
 from hdt_core.alerts.diagnoses import DIAGNOSES
-from hdt_core.alerts.phrases import THEN
 from hdt_core.components import components
 from hdt_core.components.declaration import REPLACED
 from hdt_core.loading import parse_toml
-from pipelines.report import words
 from pipelines.storage.objects import StoreError
 from pipelines.storage.settings import read_values
 from pipelines.words import _, several
+from pipelines.words.evidence import action_text
 
 NAME = "tasks.toml"
 ACTIONS = {"inspect": "inspect", "wash": "wash", "replace": "replace", "defer": "nothing until then"}
@@ -28,7 +27,6 @@ BEST_CHOICE = """
 """Joins the choice of least expected cost, `n.choice`, to alerts `a`."""
 MOST = {"minutes": 10_000, "people": 100}
 MAX_TEXT = 200
-_CLAUSE_ENDS = r" \(|; |\. |\.$"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +88,7 @@ def action_of(alert: Mapping[str, Any], tasks: Mapping[str, Task]) -> str:
     Where no cost is known it is the first action that `tasks` has, a wash before a replacement.
     """
     is_wear = alert["diagnosis"] in WASHABLE or alert["diagnosis"] not in DIAGNOSES
-    if not is_wear or THEN in alert["recommended_action"]:
+    if not is_wear or (alert["units_in_90_days"] or 0) >= REPEAT_UNITS:
         return "inspect"
     first = next((a for a in ("wash", "replace") if a in tasks), "inspect")
     return alert["choice"] if alert.get("choice") in ACTIONS else first
@@ -98,11 +96,18 @@ def action_of(alert: Mapping[str, Any], tasks: Mapping[str, Task]) -> str:
 
 def describe_action(action: str, alert: Mapping[str, Any], until: str = "") -> str:
     """Format an action in less than fifteen words: the first clause of a recommendation where that is to look."""
-    if action == "inspect" and alert["recommended_action"]:
-        return re.split(_CLAUSE_ENDS, words.plain(alert["recommended_action"]))[0]
+    if action == "inspect" and alert["action_phrases"]:
+        return _first_clause(action_text(alert["action_phrases"]))
     if action == "defer" and until:
         return _("Nothing until {until}", until=until)
     return _(ACTIONS[action]).capitalize()
+
+
+def _first_clause(text: str) -> str:
+    """Return a text up to its first parenthesis, semicolon or full stop."""
+    for end in (" (", "; ", ". "):
+        text = text.partition(end)[0]
+    return text.removesuffix(".")
 
 
 def work_text(tasks: Tasks, alert: Mapping[str, Any]) -> str:

@@ -10,11 +10,11 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup, escape
 
-from hdt_core.alerts.evidence import ROLES
 from pipelines.report import words
-from pipelines.report.units import estimate, in_words, quantity, threshold
+from pipelines.report.units import estimate, quantity, threshold, unbroken, written
 from pipelines.report.words import visible
 from pipelines.words import _, format_count, language, several
+from pipelines.words.evidence import Style, action_text, evidence_text
 
 NOTHING_FETCHED = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
@@ -43,7 +43,7 @@ def report_templates(*packages: str) -> Environment:
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}  # unsorted: a chart's parts refer back
     environment.globals |= {
         "_": html_text, "several": several, "anchor": anchor, "count": format_count, "estimate": estimate,
-        "evidence": evidence, "quantity": quantity, "threshold": threshold, "words": words,
+        "action": action, "evidence": evidence, "quantity": quantity, "threshold": threshold, "words": words,
     }  # fmt: skip
     return environment
 
@@ -55,22 +55,32 @@ def printable(value: Any) -> Any:
     return unbroken(visible(value)) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
-def unbroken(text: str) -> str:
-    """Keep numbers and their percent signs on one line."""
-    return text.replace(" %", "\N{NO-BREAK SPACE}%")
-
-
 def html_text(message: str, **values: Any) -> Markup:
     """Translate a message and fill in its values, each escaped unless it is markup."""
     text = Markup(escape(unbroken(visible(_(message)))))
     return text.format(**{k: printable(v) for k, v in values.items()}) if values else text
 
 
-def evidence(sentence: str) -> Markup:
+def evidence(stored: str, **how: bool) -> Markup:
     """Format an alert's evidence: the role of each cross check in bold, differences in both systems of units."""
-    escaped = str(in_words(unbroken(visible(words.plain(sentence)))))
-    roles = "|".join(_(f"{role}:") for role in (*ROLES, "Else"))
-    return Markup(re.sub(rf"(?<!\w)({roles})", r"<b>\1</b>", escaped))
+    return Markup(evidence_text(stored, ON_PAGE, **how))
+
+
+def action(stored: str) -> Markup:
+    """Format a recommended action."""
+    return Markup(action_text(stored, ON_PAGE))
+
+
+def _escaped(text: str) -> Markup:
+    return escape(unbroken(visible(text)))
+
+
+def _bold(label: str) -> Markup:
+    return Markup("<b>{}</b>").format(label)
+
+
+ON_PAGE = Style(_escaped, written, _bold)
+"""As a page shows texts."""
 
 
 def anchor(*parts: Any) -> str:

@@ -14,7 +14,6 @@ from hdt_core.flight.legs import REASONS as FIRST_LEVEL
 from hdt_core.prognosis.model import HORIZON
 from hdt_core.robust import Z_90
 from pipelines.words import _, format_count, number, several
-from pipelines.words.evidence import translate_evidence
 
 Row = Mapping[str, Any]
 URGENCY = {"act": "Act now", "plan": "Plan", "none": "No action", "unknown": "Not known"}
@@ -308,18 +307,3 @@ def figures(value: float | None, digits: int = 4) -> str:
 def visible(text: str) -> str:
     """Replace hidden characters by a visible one."""
     return _HIDDEN.sub("\ufffd", text)
-
-
-def tidy(sentence: str) -> str:
-    """Translate evidence or an action, with typographic signs."""
-    return translate_evidence(sentence.replace("+-", "±"))
-
-
-def plain(sentence: str) -> str:
-    """Translate evidence or an action and drop the catalog's column names."""
-    return re.sub(r" \((?:[a-z]+\d*_)+[a-z0-9]+\)", "", tidy(sentence))
-
-
-def finding(evidence: str) -> str:
-    """Translate evidence without its alternatives, for where these are listed already."""
-    return tidy(evidence.partition(" Else:")[0])

@@ -16,7 +16,7 @@ import duckdb
 
 from hdt_core.tables import TABLES
 from pipelines.storage.cases import CaseLog
-from pipelines.storage.catalog import CATALOG, nights_of, open_catalog, open_database, quote, restrict
+from pipelines.storage.catalog import CATALOG, connect, nights_of, open_catalog, open_database, quote, restrict
 from pipelines.storage.delta import DamageError
 from pipelines.storage.files import hash_of, replacing
 from pipelines.storage.ledger import Ledger
@@ -309,6 +309,22 @@ def _tables_below(view: str, sources: Mapping[str, Collection[str]]) -> set[str]
     """List the tables that a view reads, itself or through others."""
     direct = {s.removeprefix("tables.") for s in sources[view] if s.startswith("tables.")}
     return direct.union(*(_tables_below(s, sources) for s in sources[view] if s in sources))
+
+
+def connect_current(home: Path) -> duckdb.DuckDBPyConnection:
+    """Open the catalog as `catalog.connect` does, for readers of views that differ between versions.
+
+    Raises
+    ------
+    FileNotFoundError, StoreError
+        As of `catalog.connect`; or another version published it.
+    """
+    con = connect(home)
+    ((recipe_hash,),) = con.execute("select tables.made_as()").fetchall()
+    if recipe_hash != _recipe_hash():
+        con.close()
+        raise StoreError(f"the catalog in {home} was published by another version; `hdt nightly` publishes it again")
+    return con
 
 
 def find_catalog_fault(home: Path) -> str | None:

@@ -1,87 +1,72 @@
-"""Translate the catalog's English evidence and actions phrase by phrase.
+"""Write an alert's texts, stored as phrases and values (`hdt_core.alerts.text`), in the language in use."""
 
-Evidence is stored as the core wrote it. The core declares each phrase once (`hdt_core.alerts.phrases`), so each phrase
-of a sentence can be matched and translated with its values; text that matches no phrase stays as it is.
-"""
-
-import re
-from functools import cache
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 from hdt_core.alerts.diagnoses import DIAGNOSES
-from hdt_core.alerts.evidence import ROLES
+from hdt_core.alerts.evidence import ELSE, ROLES, capitalised
 from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
+from hdt_core.alerts.text import Column
 from hdt_core.components import components
-from pipelines.words import ENGLISH, _, catalog_of, in_figures, language
+from pipelines.words import _, catalog_of, in_figures, language
 
-_FIGURES = re.compile(r"[+\-]?\d+(?:\.\d+)?")
-_CODE = re.compile(r"(.*) (\((?:[a-z]+\d*_)+[a-z0-9]+\))")
-_VALUE = r"(?! )(?:(?!; |\. ).)+?"
-_NUMBERS = dict.fromkeys(
-    ("days", "high", "k", "level", "limit", "low", "points", "share", "sigma", "stop", "units", "value"),
-    _FIGURES.pattern,
-)
-"""Values that are figures; others may be a name or a phrase, within a clause."""
-_ENDS = r"(?=$|[;,.:)](?:\s|$)|;| \()"
+
+@dataclass(frozen=True, slots=True)
+class Style:
+    """How the parts of a text are written: a page escapes them and shows quantities in two systems of units."""
+
+    text: Callable[[str], str] = str
+    figures: Callable[[str, str], str] = lambda figures, unit: f"{in_figures(figures)} {unit}".rstrip()
+    label: Callable[[str], str] = str
+    has_columns: bool = False
+
+
+PLAIN, WITH_COLUMNS = Style(), Style(has_columns=True)
+"""As the night shift reads it; with the catalog's names of columns, as an analyst does."""
 
 
 def phrases() -> list[str]:
     """List every phrase of evidence and actions, those of installed components included."""
     texts = [text for c in components().values() for text in (c.name, c.lost, c.action, c.otherwise, c.waiting)]
     names = [text for d in DIAGNOSES.values() for text in (d.name, d.action)]
-    roles = [f"{role}:" for role in (*ROLES, "Else")]
-    return list(dict.fromkeys([*PHRASES, *SIGNALS.values(), *CHECKS.values(), *names, *texts, *roles]))
+    labels = [f"{label}:" for label in (*ROLES, ELSE)]
+    return list(dict.fromkeys([*PHRASES, *SIGNALS.values(), *CHECKS.values(), *names, *texts, *labels]))
 
 
-def translate_evidence(sentence: str) -> str:
-    """Translate evidence or an action into the language in use."""
-    return sentence if language() == ENGLISH else _translate(sentence, language())
+def action_text(stored: str, style: Style = PLAIN) -> str:
+    """Write a recommended action from `action_phrases`."""
+    return _write(json.loads(stored), style)
 
 
-@cache
-def _translate(sentence: str, code: str) -> str:
-    parts = []
-    start = 0
-    while start < len(sentence):
-        matches = (_match(pattern, text, sentence, start) for pattern, text in _patterns(code))
-        part, start = next((match for match in matches if match), (sentence[start], start + 1))
-        parts.append(part)
-    return "".join(parts)
+def evidence_text(stored: str, style: Style = PLAIN, *, has_alternatives: bool = True) -> str:
+    """Write evidence from `evidence_phrases`, a sentence a section; without what else may be, and the cost of waiting,
+    where these are listed already."""
+    sections = json.loads(stored)
+    labels = [section["label"] for section in sections]
+    shown = sections if has_alternatives else sections[: labels.index(ELSE)]
+    return style.text(" ").join(_sentence(section, style) for section in shown)
 
 
-def _match(pattern: re.Pattern[str], translation: str, sentence: str, start: int) -> tuple[str, int] | None:
-    """Translate the phrase that begins at `start`, in lower case within a sentence, and return it with its end."""
-    match = pattern.match(sentence, start)
-    if match is None or (start and sentence[start].isalnum() and sentence[start - 1].isalnum()):
-        return None
-    text = translation.format(**{n: translate_value(v) for n, v in match.groupdict().items() if n != "small"})
-    return (text[:1].lower() + text[1:] if sentence[start:].startswith(match["small"] or "\0") else text), match.end()
+def _sentence(section: dict[str, Any], style: Style) -> str:
+    text = _write(section["texts"], style)
+    if not section["label"]:
+        return capitalised(text) + style.text(".")
+    return style.label(_(f"{section['label']}:")) + style.text(" ") + text + style.text(".")
 
 
-def translate_value(value: str) -> str:
-    """Translate a value within a phrase: figures, a name with its code, or phrases of their own."""
-    if _FIGURES.fullmatch(value):
-        return in_figures(value)
-    if code := _CODE.fullmatch(value):
-        lower = code[1][:1].lower() + code[1][1:]
-        name = lower if lower in (*SIGNALS.values(), *CHECKS.values()) else code[1]
-        translated = _(name)
-        return f"{translated} {code[2]}"
-    return translate_evidence(value)
-
-
-@cache
-def _patterns(code: str) -> list[tuple[re.Pattern[str], str]]:
-    """Compile each phrase, the longest first, with its translation."""
-    longest_first = sorted(phrases(), key=lambda p: -len(re.sub(r"\{\w+\}", "", p)))
-    return [(pattern_of(p), catalog_of(code).gettext(p)) for p in longest_first]
-
-
-def pattern_of(phrase: str) -> re.Pattern[str]:
-    """Compile a pattern that matches a phrase with any values, its first letter also in lower case."""
-    parts = re.split(r"\{(\w+)\}", phrase)
-    pattern = [re.escape(p) if k % 2 == 0 else f"(?P<{p}>{_NUMBERS.get(p, _VALUE)})" for k, p in enumerate(parts)]
-    if phrase[:1].isupper() and not phrase[1:2].isupper():
-        pattern[0] = f"(?:{phrase[0]}|(?P<small>{phrase[0].lower()}))" + re.escape(parts[0][1:])
-    else:
-        pattern[0] = "(?P<small>(?!))?" + pattern[0]
-    return re.compile("".join(pattern) + ("" if phrase.endswith((":", ": ")) else _ENDS))
+def _write(part: Any, style: Style) -> str:
+    """Write one part, of the form of `hdt_core.alerts.text.as_parts`."""
+    match part:
+        case {"figures": figures, "unit": unit}:
+            return style.figures(figures, unit)
+        case {"column": name}:
+            return style.text(Column(name) if style.has_columns else "")
+        case {"texts": texts, "separator": separator}:
+            return style.text(separator).join(_write(text, style) for text in texts)
+        case {"phrase": phrase, "values": values, "is_continued": is_continued}:
+            template = style.text(catalog_of(language()).gettext(phrase) if phrase else "")
+            text = template.format(**{n: _write(v, style) for n, v in values.items()}) if values else template
+            return text[:1].lower() + text[1:] if is_continued else text
+    return style.text(part)

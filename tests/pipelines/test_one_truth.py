@@ -6,6 +6,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from alert_texts import evidence_of, text_columns
 from nights import empty_home
 from small_catalog import START, catalog, flight
 from typer.testing import CliRunner
@@ -55,8 +56,9 @@ def tables(tail: str) -> dict[str, list[dict]]:
         if own == tail:
             identity = {"alert_id": name, "pack": pack, "component": component, "diagnosis": diagnosis}
             ends = None if closed is None else START + dt.timedelta(days=closed)
-            row = {"raised_severity": then, "severity": now, "evidence": f"Then {name}.", "closed_at": ends}
-            row |= {"evidence_now": f"Now {name}. Supports: a. Against: b.", "recommended_action": f"Do {name}."}
+            row = {"raised_severity": then, "severity": now, "closed_at": ends}
+            evidence_now = evidence_of(f"Now {name}", ("Supports", "a"), ("Against", "b"))
+            row |= text_columns(evidence_of(f"Then {name}"), evidence_now, f"Do {name}.")
             raised = flight(THEN, tail=tail)
             times = {"raised_flight_id": raised["flight_id"], "raised_at": raised["departed_at"]}
             alerts.append(raised | identity | row | times | {"now_flight_id": flight(NOW, tail=tail)["flight_id"]})

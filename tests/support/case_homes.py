@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import polars as pl
+from alert_texts import evidence_of, text_columns
 from nights import empty_home
 from small_catalog import OWN, alert, flight, fouling
 
@@ -37,5 +38,6 @@ def publish_losses(home: Path, loss: float, **tables: list[dict]) -> Path:
 
 def _alert(name: str, raised: int, closed: int | None = None) -> dict:
     now = flight(59 if closed is None else closed)["flight_id"]
-    last = {"now_flight_id": now, "evidence_now": "e", "raised_severity": "medium"}
-    return OWN | alert(name, raised, closed) | last | {"recommended_action": "<b>wash</b>"}
+    last = {"now_flight_id": now, "raised_severity": "medium"}
+    texts = text_columns(evidence_of("e"), evidence_of("e"), "<b>wash</b>")
+    return OWN | alert(name, raised, closed) | last | texts

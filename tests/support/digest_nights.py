@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import polars as pl
+from alert_texts import evidence_of, text_columns
 from nights import empty_home
 
 from hdt_core.components import component_rows
@@ -27,7 +28,7 @@ def alert(name: str, severity: str, last: int, *, closed: int | None = None) -> 
     ends = None if closed is None else flight(closed)["departed_at"]
     return raised | {
         "alert_id": name, "pack": 1, "component": "HX", "diagnosis": "HX_SUDDEN_CLOG", "severity": severity,
-        "raised_severity": "low", "evidence": "then", "evidence_now": "now", "recommended_action": "=wash & look <now>",
+        "raised_severity": "low", **text_columns(evidence_of("then"), evidence_of("now"), "=wash & look <now>"),
         "raised_flight_id": raised["flight_id"], "raised_at": raised["departed_at"], "closed_at": ends,
         "now_flight_id": now["flight_id"],
     }  # fmt: skip

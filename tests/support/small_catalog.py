@@ -6,6 +6,7 @@ from functools import cache
 
 import duckdb
 import polars as pl
+from alert_texts import evidence_of, text_columns
 
 from hdt_core.components import component_rows
 from hdt_core.tables import TABLES
@@ -73,7 +74,8 @@ def message(n: int, code: str = "21-52-HXTEMP") -> dict:
 
 def alert(name: str, n: int, closed: int | None = None, component: str = "HX") -> dict:
     at = START + dt.timedelta(days=n)
-    fields = {"diagnosis": "HX_FOULING", "severity": "medium", "evidence": "e", "recommended_action": "a"}
+    texts = text_columns(evidence_of("e"), evidence_of("e"), "a")
+    fields = {"diagnosis": "HX_FOULING", "severity": "medium"} | texts
     ends = None if closed is None else START + dt.timedelta(days=closed)
     times = {"raised_flight_id": flight(n)["flight_id"], "raised_at": at, "closed_at": ends}
     return OWN | fields | times | {"alert_id": name, "component": component}

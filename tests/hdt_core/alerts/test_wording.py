@@ -200,7 +200,7 @@ def shrunk(**changed: float) -> Evidence:
     ],
 )
 def test_compressor_evidence_states_figures(loss, words):
-    assert words in shrunk(cc_efficiency_loss=loss).finding
+    assert words in shrunk(cc_efficiency_loss=loss).findings[0]
 
 
 SHORT = {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}
@@ -244,7 +244,7 @@ def test_common_change_points_to_map(whose, is_held_back):
 
     addendum = wording.sensor_addendum(record_of(SensorFacts, facts))
 
-    assert ("look at the recorder's scale, map and software first" in addendum) == is_held_back
+    assert ("look at the recorder's scale, map and software first" in "".join(addendum)) == is_held_back
 
 
 @pytest.mark.parametrize(

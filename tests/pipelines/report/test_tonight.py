@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from alert_texts import stored_action
 
 from hdt_core.alerts.alerts import VALUES
 from hdt_core.alerts.diagnoses import DIAGNOSES
-from hdt_core.alerts.phrases import THEN
 from hdt_core.components import components
 from pipelines.report import words
 from pipelines.report.facts import Facts, read_facts
@@ -71,6 +71,10 @@ def test_recent_work_is_named(facts):
     assert "cleaned 2024-07-01, no flight since" in row["notes"]
 
 
+FOULING = {
+    "diagnosis": "HX_FOULING", "component": "HX", "units_in_90_days": 1, "action_phrases": stored_action("Wash it"),
+    "choice": "wash",
+}  # fmt: skip
 CHOICES = [
     {"choice": "wash", "expected_cost": 3500.0, "currency": "USD"},
     {"choice": "defer", "expected_cost": 28700.0, "currency": "USD"},
@@ -78,17 +82,18 @@ CHOICES = [
 
 
 @pytest.mark.parametrize(
-    ("diagnosis", "action", "to_do", "work"),
+    ("diagnosis", "units", "action", "to_do", "work"),
     [
-        ("HX_FOULING", "Wash it (ATA 21-52); look first", "Wash",
+        ("HX_FOULING", 1, "Wash it (ATA 21-52); look first", "Wash",
          "120 min, 2 people; 3,500 USD expected, 28,700 if it waits"),
-        ("HX_FOULING", "Find the cause upstream. Only then: wash it (ATA 21-52)", "Find the cause upstream",
+        ("HX_FOULING", 3, "Find the cause upstream. Only then: wash it (ATA 21-52)", "Find the cause upstream",
          "45 min, 1 person"),
-        ("HX_LOW_MARGIN", "Check target (ATA 21-53, rigging)", "Check target", "90 min, 2 people"),
+        ("HX_LOW_MARGIN", None, "Check target (ATA 21-53, rigging)", "Check target", "90 min, 2 people"),
     ],
 )  # fmt: skip
-def test_cost_is_the_actions_own(sample_home, facts, diagnosis, action, to_do, work):
-    alert = {"alert_id": "a", "alert_component": "HX", "diagnosis": diagnosis, "recommended_action": action}
+def test_cost_is_the_actions_own(sample_home, facts, diagnosis, units, action, to_do, work):
+    subject = {"diagnosis": diagnosis, "units_in_90_days": units, "action_phrases": stored_action(action)}
+    alert = {"alert_id": "a", "alert_component": "HX"} | subject
     first = facts.rows[0]
     values = first.values | alert | {"urgency": "act", "choices": CHOICES}
     unit = UnitRow(values, tasks_of(read_tasks(sample_home), alert | {"component": "HX"}))
@@ -96,19 +101,17 @@ def test_cost_is_the_actions_own(sample_home, facts, diagnosis, action, to_do, w
 
 
 def test_without_costs_wear_is_washed(sample_home, facts):
-    alert = {"alert_id": "a", "alert_component": "HX", "diagnosis": "HX_FOULING", "recommended_action": "Wash it"}
+    alert = {"alert_id": "a", "alert_component": "HX"} | FOULING
     unpriced = [{"choice": "defer", "expected_cost": None}, {"choice": "wash", "expected_cost": None}]
     values = facts.rows[0].values | alert | {"urgency": "plan", "choices": unpriced}
     assert UnitRow(values, tasks_of(read_tasks(sample_home), alert | {"component": "HX"})).to_do() == "Wash"
 
 
-FOULING = {"diagnosis": "HX_FOULING", "component": "HX", "recommended_action": "Wash", "choice": "wash"}
-
-
 def test_each_diagnosis_has_its_work(tmp_path):
     tasks = read_tasks(tmp_path)
     for d in DIAGNOSES.values():
-        alert = {"diagnosis": d.code, "component": d.component, "recommended_action": d.action, "choice": None}
+        texts = {"units_in_90_days": None, "action_phrases": stored_action(d.action)}
+        alert = {"diagnosis": d.code, "component": d.component, "choice": None, **texts}
         own = tasks_of(tasks, alert)
         work = own[action_of(alert, own)]
         assert work.minutes
@@ -118,7 +121,8 @@ def test_each_diagnosis_has_its_work(tmp_path):
 
 def test_declared_component_has_declared_work(tmp_path):
     cac = components()["CAC"]
-    alert = {"diagnosis": cac.diagnosis, "component": "CAC", "recommended_action": cac.action, "choice": None}
+    texts = {"units_in_90_days": None, "action_phrases": stored_action(cac.action)}
+    alert = {"diagnosis": cac.diagnosis, "component": "CAC", "choice": None} | texts
     assert work_text(read_tasks(tmp_path), alert) == f"Replace: {cac.action}"
     assert Task(minutes=30, people=1).text() == "30 min, 1 person"
     assert Task(zone="193").text() == "zone 193"
@@ -166,7 +170,7 @@ def test_action_fits_the_alert(tmp_path):
     assert action_of(FOULING | {"choice": "defer"}, own) == "defer"
     assert work_text(tasks, FOULING | {"choice": "defer"}) == "Nothing until then"
     assert action_of(FOULING | {"choice": None}, own) == "wash"
-    assert action_of(FOULING | {"recommended_action": f"Find the cause upstream{THEN}wash"}, own) == "inspect"
+    assert action_of(FOULING | {"units_in_90_days": 3}, own) == "inspect"
     assert action_of(FOULING | {"diagnosis": "HX_LOW_MARGIN"}, own) == "inspect"
     assert action_of(FOULING | {"choice": None}, {}) == "inspect"
     assert set(ACTIONS) == {"inspect", "wash", "replace", "defer"}
