@@ -1,5 +1,6 @@
 """Joint fits over flights: equation (6), the group and the inlet recovered; health free beside a shared design."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -23,7 +24,7 @@ from hdt_core.calibration.dsm import flow_elasticities
 from hdt_core.calibration.exchanger import exchanger_panel
 from hdt_core.calibration.sensor_biases import probe_corrections
 from hdt_core.estimation import NonlinearLeastSquares
-from hdt_core.estimation.panel import PanelLeastSquares, Walk
+from hdt_core.estimation.panel import Panel, PanelLeastSquares, Walk
 from hdt_core.physics.compressor import COMPRESSOR, group_at_m3, inlet_flow_kg_s
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.records.keys import PACK
@@ -40,42 +41,68 @@ def fit(fleet, fleets):
 
 
 def test_recovers_diameter_line(fit, fleets):
-    assert abs(fit.slope_m_per_count - fleets.SLOPE_M) < 3.0 * fit.slope_sd_m_per_count
-    assert fit.slope_sd_m_per_count < 0.1 * abs(fleets.SLOPE_M)
+    slope_error = abs(fit.slope_m_per_count - fleets.SLOPE_M)
+    assert slope_error < 3.0 * fit.slope_sd_m_per_count < 0.3 * abs(fleets.SLOPE_M)
     assert abs(fit.intercept_m - fleets.INTERCEPT_M) < 3.0 * fit.intercept_sd_m
-    # mean absolute value of a normal error; levels of twenty flights cost one per cent
-    allowed = fleets.SCATTER_M * np.sqrt(2.0 / np.pi)
-    assert fit.mae_m == pytest.approx(allowed, rel=0.06)
+
+
+def test_recovers_scatter_of_line(fit, fleets):
+    """Mean absolute value of a normal error; levels of twenty flights cost one per cent."""
+    assert fit.mae_m == pytest.approx(fleets.SCATTER_M * np.sqrt(2.0 / np.pi), rel=0.06)
     assert fit.mae_m < 0.0055
     assert fit.scatter_m == pytest.approx(fleets.SCATTER_M, rel=0.06)
+
+
+def test_line_beats_other_forms(fit):
+    """On flights left out."""
     constant, linear, *richer = fit.forms
     assert linear.cv_mae_m < 0.97 * constant.cv_mae_m
     assert constant.aic > linear.aic + 10.0
     for form in richer:
         assert form.cv_mae_m > 0.999 * linear.cv_mae_m
         assert form.r_squared >= linear.r_squared - 1e-12
-    assert linear.r_squared_low < linear.r_squared < linear.r_squared_high
-    # positions uniform over 300 counts: what slope and scatter imply
+
+
+def test_recovers_share_explained(fit, fleets):
+    """Positions uniform over 300 counts: what slope and scatter imply."""
+    linear = fit.forms[1]
     explained = fleets.SLOPE_M**2 * 300.0**2 / 12.0
+    assert linear.r_squared_low < linear.r_squared < linear.r_squared_high
     assert linear.r_squared == pytest.approx(explained / (explained + fleets.SCATTER_M**2), abs=0.02)
+
+
+def test_recovers_flow_group(fit, fleets):
     assert fit.group_m3 == pytest.approx(fleets.GROUP_M3, rel=0.005)
 
 
-def test_recovers_group_slope(fit, fleet, fleets):
+GROUP_SLOPE = 3.3e-7
+
+
+@pytest.fixture(scope="module")
+def growing(fleet, fleets):
     """A group that grows by a third of a millionth a count, read by a flow sensor and a position with their noise."""
-    slope, rng = 3.3e-7, np.random.default_rng(5)
+    rng = np.random.default_rng(5)
     inlet = [fleet.samples[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")]
-    group = group_at_m3(fleet.samples["vda_counts"].to_numpy(), fleets.GROUP_M3, 450.0, slope)
+    group = group_at_m3(fleet.samples["vda_counts"].to_numpy(), fleets.GROUP_M3, 450.0, GROUP_SLOPE)
     flow = inlet_flow_kg_s(group, *inlet) * (1.0 + 0.02 * rng.standard_normal(group.size))
     noise = pl.Series(5.0 * rng.standard_normal(group.size))
     noisy = fleet.samples.with_columns(pl.col("vda_counts") + noise, cc_flow_kg_s=pl.Series(flow))
-    refit = fit_compressor(compressor_rows(noisy))
-    sd = refit.group_slope_sd_m3_per_count
-    assert abs(refit.group_slope_m3_per_count - slope) < 3.0 * sd < 0.1 * slope
-    assert abs(fit.group_slope_m3_per_count) < 0.003 * slope  # a group that the diffuser does not move
+    return fit_compressor(compressor_rows(noisy))
+
+
+def test_recovers_group_slope(growing):
+    sd = growing.group_slope_sd_m3_per_count
+    assert abs(growing.group_slope_m3_per_count - GROUP_SLOPE) < 3.0 * sd < 0.1 * GROUP_SLOPE
+
+
+def test_constant_group_has_no_slope(fit):
+    assert abs(fit.group_slope_m3_per_count) < 0.003 * GROUP_SLOPE
+
+
+def test_group_inverts_to_position(growing):
     positions = np.array([320.0, 450.0, 580.0])
-    np.testing.assert_allclose(refit.position_counts(refit.group_at_m3(positions)), positions, rtol=1e-12)
-    assert refit.vda_widest_counts == pytest.approx(600.0, abs=25.0)
+    np.testing.assert_allclose(growing.position_counts(growing.group_at_m3(positions)), positions, rtol=1e-12)
+    assert growing.vda_widest_counts == pytest.approx(600.0, abs=25.0)
 
 
 def test_worn_machine_keeps_line_steep(fleet, fleets):
@@ -92,16 +119,18 @@ def test_diffuser_noise_keeps_line_steep(fleets):
     rng = np.random.default_rng(3)
     n = 40_000
     true = 400.0 + 12.0 * rng.standard_normal(n)
+    none = pl.lit(None, pl.Float64)
     frame = pl.DataFrame(
         {
             "diameter_m": fleets.INTERCEPT_M + fleets.SLOPE_M * true,
             "vda_counts": true + 5.0 * rng.standard_normal(n),
-            "group_m3": pl.Series([None] * n, dtype=pl.Float64),
-            "efficiency": pl.Series([None] * n, dtype=pl.Float64),
             "flight_id": [f"f{k // 8:05d}" for k in range(n)],
             "time_utc": np.arange(n),
         }
-    ).with_columns(operator=pl.lit("TST"), tail=pl.format("T-{}", pl.int_range(pl.len()) // 4000), pack=pl.lit(1))
+    ).with_columns(
+        group_m3=none, efficiency=none, operator=pl.lit("TST"), pack=pl.lit(1),
+        tail=pl.format("T-{}", pl.int_range(pl.len()) // 4000),
+    )  # fmt: skip
     assert fit_compressor(frame).slope_m_per_count == pytest.approx(fleets.SLOPE_M, rel=0.02)
 
 
@@ -109,6 +138,9 @@ def test_few_points_keep_papers_line(fleet):
     few = fit_compressor(compressor_rows(fleet.samples.head(20)))
     assert few.intercept_m == 0.1731
     assert few.intercept_sd_m >= 0.01
+
+
+def test_inlet_geometry_obeys_group():
     inlet = inlet_geometry(9.1e-4, 1e-6)
     names = ("cc_inlet_area_m2", "cc_eye_diameter_m", "cc_blade_angle_rad")
     (area, area_sd), (eye, _), angle = (inlet[n] for n in names)
@@ -119,18 +151,35 @@ def test_few_points_keep_papers_line(fleet):
     assert area_sd / area == pytest.approx(2.0 / 3.0 * 0.110, rel=0.01)
 
 
-def test_batched_fit_matches_single_fits(fleet, fleets):
-    samples = fleets.group_flow(fleet.only("T-00").samples)
-    free, outputs = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept"), ("cc_flow_kg_s", "cc_out_pa")
+FREE = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept")
+
+
+@pytest.fixture(scope="module")
+def grouped(fleet, fleets):
+    """One aircraft whose flow follows its group."""
+    return fleets.group_flow(fleet.only("T-00").samples)
+
+
+@pytest.fixture(scope="module")
+def single_fits(grouped):
+    """Flights fitted one by one, each from where the one before ended."""
     one_by_one = SimpleNamespace(name="nls", estimate=NonlinearLeastSquares().estimate)
-    warm, cold = (flight_by_flight(samples, COMPRESSOR, free, outputs=outputs, estimator=e) for e in (one_by_one, None))
-    assert set(warm["status"]) == {"converged"}
-    for column in free:
-        np.testing.assert_allclose(warm[column], cold[column], rtol=1e-6)
-    assert warm["n_evals"].sum() < 0.8 * cold["n_evals"].sum()
-    group_m3 = warm["cc_area_diameter_tan_beta_m3"]
+    return flight_by_flight(grouped, COMPRESSOR, FREE, outputs=("cc_flow_kg_s", "cc_out_pa"), estimator=one_by_one)
+
+
+def test_batched_fit_matches_single_fits(grouped, single_fits):
+    batched = flight_by_flight(grouped, COMPRESSOR, FREE, outputs=("cc_flow_kg_s", "cc_out_pa"), estimator=None)
+    for column in FREE:
+        np.testing.assert_allclose(single_fits[column], batched[column], rtol=1e-6)
+    assert single_fits["n_evals"].sum() < 0.8 * batched["n_evals"].sum()
+
+
+def test_single_fits_recover_group(grouped, single_fits, fleets):
+    group_m3 = single_fits[FREE[0]]
+    assert set(single_fits["status"]) == {"converged"}
     np.testing.assert_allclose(group_m3, fleets.GROUP_M3, rtol=1e-6)
-    s = samples.filter((pl.col("flight_id") == warm["flight_id"][5]) & (pl.col("pack") == warm["pack"][5]))
+    sixth = single_fits.row(5, named=True)
+    s = grouped.filter(flight_id=sixth["flight_id"], pack=sixth["pack"])
     flow = inlet_flow_kg_s(group_m3[5], *(s[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")))
     np.testing.assert_allclose(flow, s["cc_flow_kg_s"].to_numpy(), rtol=1e-6)
 
@@ -143,14 +192,14 @@ def points_of(samples: pl.DataFrame) -> Points:
     return to_points(level_points(cruise_samples(samples), flights_of(samples)), packs)
 
 
-def fitted(points: Points, n_packs: int):
+def fit_panel(points: Points, n_packs: int):
     prior = np.zeros((n_packs, len(hx.BIASES))), np.tile(hx.BIAS_SDS, (n_packs, 1))
     return PanelLeastSquares().estimate(exchanger_panel(points, *prior))[0]
 
 
 def test_worn_packs_give_same_law(fleet):
     """Left packs lose up to a half in the window, right ones nothing."""
-    fits = [fitted(points_of(fleet.samples.filter(pl.col("pack") == side)), 5) for side in (1, 2)]
+    fits = [fit_panel(points_of(fleet.samples.filter(pl.col("pack") == side)), 5) for side in (1, 2)]
     true = flow_elasticities(fleet.design, *FLOWS)
     for fit in fits:
         assert fit.status == "converged"
@@ -167,9 +216,8 @@ def test_slow_loss_is_not_design(fleet, rate):
     slope = (there - here) / 0.01
     warmer = np.where(points.pack == 0, -rate * points.flight / slope, 0.0)
     sick = replace(points, signals=points.signals | {"hx_out_k": points.signals["hx_out_k"] + warmer})
-    before, after = fitted(points, 5), fitted(sick, 5)
-    shift_sd = np.abs(after.belief.mean - before.belief.mean) / before.belief.sd
-    assert shift_sd.max() < 0.5
+    before, after = (fit_panel(p, 5).belief for p in (points, sick))
+    assert (np.abs(after.mean - before.mean) / before.sd).max() < 0.5
 
 
 def test_more_flights_shrink_doubt(fleet):
@@ -177,41 +225,77 @@ def test_more_flights_shrink_doubt(fleet):
     early = points.flight < 20
     signals = {n: v[early] for n, v in points.signals.items()}
     few = Points(signals, points.pack[early], points.flight[early], points.n_samples[early])
-    small, large = (fitted(p, 10).belief.cov for p in (few, points))
+    small, large = (fit_panel(p, 10).belief.cov for p in (few, points))
     # the volume of doubt over twelve parameters
     assert np.linalg.slogdet(large)[1] < np.linalg.slogdet(small)[1] - 1.0
     for cov in (small, large):
         assert (np.diag(cov) <= hx.SD**2 * (1.0 + 1e-9)).all()
-    points = points_of(fleet.only("T-00").samples)
-    prior, sd = np.full((3, 6), 0.01), np.tile(hx.BIAS_SDS, (3, 1))
-    bias = PanelLeastSquares().estimate(exchanger_panel(points, prior, sd))[1]
-    np.testing.assert_array_equal(bias[2], prior[2])
-    assert (bias[:2] != prior[:2]).all()
-    assert (prior == 0.01).all()
-    np.testing.assert_array_equal(sd, np.tile(hx.BIAS_SDS, (3, 1)))
 
 
-@pytest.mark.parametrize(("n_known", "effect"), [(19, 40.0), (20, 10.0)])
-def test_panel_is_as_declared(fleet, n_known, effect):
+@pytest.fixture(scope="module")
+def one_aircraft(fleet) -> Points:
+    return points_of(fleet.only("T-00").samples)
+
+
+def test_pack_without_points_keeps_prior(one_aircraft):
+    prior = np.full((3, 6), 0.01)
+    sd = np.tile(hx.BIAS_SDS, (3, 1))
+    bias = PanelLeastSquares().estimate(exchanger_panel(one_aircraft, prior, sd))[1]
+    np.testing.assert_array_equal(bias[2], np.full(6, 0.01))
+    assert (bias[:2] != 0.01).all()
+    # what the caller gave stays
+    np.testing.assert_array_equal([prior, sd], [np.full((3, 6), 0.01), np.tile(hx.BIAS_SDS, (3, 1))])
+
+
+@pytest.fixture
+def panel_of(one_aircraft) -> Callable[[int], tuple[Points, Panel]]:
+    """Points of two packs, so many of which show the ram outlet, from four samples on; and their panel."""
+
+    def make_panel(n_known: int) -> tuple[Points, Panel]:
+        n = np.arange(len(one_aircraft))
+        ram_out = np.where(n < n_known, one_aircraft.signals["ram_out_k"], np.nan)
+        points = replace(one_aircraft, signals=one_aircraft.signals | {"ram_out_k": ram_out}, n_samples=n + 4.0)
+        return points, exchanger_panel(points, np.zeros((2, 6)), np.tile(hx.BIAS_SDS, (2, 1)))
+
+    return make_panel
+
+
+@pytest.mark.parametrize(("n_known", "effect", "others"), [(19, 40.0, []), (20, 10.0, [(0.015, 10.0)])])
+def test_panel_is_as_declared(panel_of, n_known, effect, others):
     """Health walks by 0.01 a flight from within 0.3, a flight scatters by 0.02; the law errs by 1 %, the balance of the
-    ram flow by 1.5. Of neighbouring points ten count as one, forty where fewer than twenty show the ram flow; a point
-    averages six samples at most."""
-    points = points_of(fleet.only("T-00").samples)
-    ram_out = np.where(np.arange(len(points)) < n_known, points.signals["ram_out_k"], np.nan)
-    points = replace(points, signals=points.signals | {"ram_out_k": ram_out}, n_samples=np.arange(len(points)) + 4.0)
-    panel = exchanger_panel(points, np.zeros((2, 6)), np.tile(hx.BIAS_SDS, (2, 1)))
+    ram flow by 1.5. Of neighbouring points ten count as one, forty where fewer than twenty show the ram flow."""
+    _, panel = panel_of(n_known)
     assert (panel.walk, panel.levelled.sd, panel.levelled.design_effect) == (Walk(0.01, 0.02, 0.3), 0.01, effect)
-    assert [(e.sd, e.design_effect) for e in panel.others] == [(0.015, 10.0)] * (n_known == 20)
-    for row, n in enumerate((4, 5, 6, 6)):
-        np.testing.assert_allclose(panel.noise_sd[row], hx.NOISE_SDS / np.sqrt(n))
-    bias = 0.5 * hx.BIAS_SDS[:, None]
-    ratios = (hx.ln_conductance_ratio, hx.ln_ram_flow_ratio)[: 1 + len(panel.others)]
-    for equation, ratio in zip((panel.levelled, *panel.others), ratios, strict=True):
-        np.testing.assert_array_equal(equation.residual(hx.MEAN, bias), ratio(points.signals, hx.MEAN, bias))
-    flow = np.nanmedian(np.log(clean_ram_flow_kg_s(points.signals, hx.MEAN) / points.signals["pack_flow_kg_s"]))
-    np.testing.assert_allclose(panel.prior_terms(hx.MEAN), (flow - np.log(1.5)) / 0.15)
+    assert [(e.sd, e.design_effect) for e in panel.others] == others
     np.testing.assert_array_equal(panel.prior.sd, hx.SD)
     np.testing.assert_array_equal(panel.bounds.T, [hx.LOW, hx.HIGH])
+
+
+@pytest.mark.parametrize("n_known", [19, 20])
+def test_point_averages_six_samples(panel_of, n_known):
+    """At most."""
+    _, panel = panel_of(n_known)
+    expected = [hx.NOISE_SDS / np.sqrt(n) for n in (4, 5, 6, 6)]
+    np.testing.assert_allclose(panel.noise_sd[:4], expected)
+
+
+@pytest.mark.parametrize(
+    ("n_known", "ratios"),
+    [(19, [hx.ln_conductance_ratio]), (20, [hx.ln_conductance_ratio, hx.ln_ram_flow_ratio])],
+)
+def test_panel_equations_are_ratios(panel_of, n_known, ratios):
+    points, panel = panel_of(n_known)
+    bias = 0.5 * hx.BIAS_SDS[:, None]
+    for equation, ratio in zip((panel.levelled, *panel.others), ratios, strict=True):
+        np.testing.assert_array_equal(equation.residual(hx.MEAN, bias), ratio(points.signals, hx.MEAN, bias))
+
+
+@pytest.mark.parametrize("n_known", [19, 20])
+def test_panel_prior_is_flow_ratio(panel_of, n_known):
+    """Of ram to bleed flow, 1.5 to 15 %."""
+    points, panel = panel_of(n_known)
+    flow = np.nanmedian(np.log(clean_ram_flow_kg_s(points.signals, hx.MEAN) / points.signals["pack_flow_kg_s"]))
+    np.testing.assert_allclose(panel.prior_terms(hx.MEAN), (flow - np.log(1.5)) / 0.15)
 
 
 @pytest.mark.parametrize("faulty", [[], [0.91]], ids=["sound", "one reads 17 % high"])
