@@ -23,88 +23,134 @@ def cruise() -> pl.DataFrame:
                               ram_door_open=pl.Series(rng.uniform(0.1, 0.9, flown.height)))  # fmt: skip
 
 
+def without_bias(rows: pl.DataFrame) -> dict[str, np.ndarray]:
+    """Signals without the sensors' errors."""
+    return hx.without_bias({n: rows[n].to_numpy().astype(float) for n in hx.SIGNALS}, bias_of(rows))
+
+
+def bias_of(rows: pl.DataFrame) -> np.ndarray:
+    return np.tile(BIAS, rows.height)
+
+
 def terms(rows: pl.DataFrame, discharge_k, *, ram_out_k=None, door=None) -> np.ndarray:
     """Discharge, ram outlet, ln of both flows, and the two streams' difference times each."""
-    s = hx.without_bias({n: rows[n].to_numpy().astype(float) for n in hx.SIGNALS}, np.tile(BIAS, rows.height))
+    s = without_bias(rows)
     ram = clean_ram_flow_kg_s(s if door is None else s | {"ram_door_open": np.full(rows.height, door)}, DSM.design)
     if ram_out_k is None:
         ram_out_k = s["tat_k"] + s["pack_flow_kg_s"] / ram * (s["hx_in_k"] - s["hx_out_k"])
-    ln_ram, ln_flow, apart = np.log(ram), np.log(s["pack_flow_kg_s"]), discharge_k - ram_out_k
+    ln_ram = np.log(ram)
+    ln_flow = np.log(s["pack_flow_kg_s"])
+    apart = discharge_k - ram_out_k
     return np.stack([discharge_k, ram_out_k, ln_ram, ln_flow, apart * ln_ram, apart * ln_flow], axis=1)
 
 
 def test_inlet_excess_is_median_residual(cruise):
-    bias = np.tile(BIAS, cruise.height)
-    above_law = inlet_above_law(cruise, SLOPES, DSM.design, bias).sort("pack", "flight_id")
-    above = cruise["hx_in_k"].to_numpy() - terms(cruise, cruise["cc_out_k"].to_numpy()) @ SLOPES
-    rows = cruise.with_columns(a=pl.Series(above))
+    above_law = inlet_above_law(cruise, SLOPES, DSM.design, bias_of(cruise)).sort("pack", "flight_id")
+    residual = cruise["hx_in_k"].to_numpy() - terms(cruise, cruise["cc_out_k"].to_numpy()) @ SLOPES
+    rows = cruise.with_columns(a=pl.Series(residual))
     want = rows.group_by("pack", "flight_id", maintain_order=True).agg(pl.col("a").median())
     np.testing.assert_allclose(above_law["inlet_apart_k"], want["a"])
+
+
+def test_open_door_gives_no_excess(cruise):
+    """At its stop a door has no authority."""
     stuck = cruise.with_columns(ram_door_open=pl.lit(0.96))
-    assert inlet_above_law(stuck, SLOPES, DSM.design, bias).is_empty()
+    assert inlet_above_law(stuck, SLOPES, DSM.design, bias_of(cruise)).is_empty()
 
 
 def test_pressure_ratio_replaces_discharge_temperature(cruise):
     """At an efficiency of 0.75, for flights that have none at all."""
-    bias, one = np.tile(BIAS, cruise.height), cruise["flight_id"] == cruise["flight_id"][0]
+    one = cruise["flight_id"] == cruise["flight_id"][0]
     silent = cruise.with_columns(pl.when(~one).then("cc_out_k").alias("cc_out_k"))
     ratio = (silent["cc_out_pa"] / silent["cc_in_pa"]).to_numpy()
     by_ratio = silent["tat_k"].to_numpy() * (1.0 + (ratio ** (0.4 / 1.4) - 1.0) / 0.75)
     discharge = np.where(one, by_ratio, cruise["cc_out_k"])
-    above = cruise["hx_in_k"].to_numpy() - terms(cruise, discharge) @ SLOPES
-    above_law = inlet_above_law(silent, SLOPES, DSM.design, bias).sort("pack", "flight_id")["inlet_apart_k"]
-    assert above_law[0] == pytest.approx(np.median(above[(one & (cruise["pack"] == 1)).to_numpy()]), rel=2e-3)
+    residual = cruise["hx_in_k"].to_numpy() - terms(cruise, discharge) @ SLOPES
+    above_law = inlet_above_law(silent, SLOPES, DSM.design, bias_of(cruise)).sort("pack", "flight_id")["inlet_apart_k"]
+    assert above_law[0] == pytest.approx(np.median(residual[(one & (cruise["pack"] == 1)).to_numpy()]), rel=2e-3)
 
 
-def test_slopes_are_huber_about_medians(cruise):
-    """A weak ridge of 1e-4; a twentieth of the samples is far off and pulls as if it were 1.345 deviations."""
-    bias, rng = np.tile(BIAS, cruise.height), np.random.default_rng(2)
-    x = terms(cruise, cruise["cc_out_k"].to_numpy())
-    pack = cruise["pack"].to_numpy()
-    y = x @ SLOPES + 30.0 * pack + 0.5 * rng.standard_normal(len(x)) + np.where(rng.random(len(x)) < 0.05, 20.0, 0.0)
+@pytest.fixture(scope="module")
+def scattered(cruise) -> pl.DataFrame:
+    """Inlets that scatter about the law and packs' own levels; a twentieth of the samples is far off."""
+    rng = np.random.default_rng(2)
+    y = terms(cruise, cruise["cc_out_k"].to_numpy()) @ SLOPES + 30.0 * cruise["pack"].to_numpy()
+    y = y + 0.5 * rng.standard_normal(y.size) + np.where(rng.random(y.size) < 0.05, 20.0, 0.0)
+    return cruise.with_columns(hx_in_k=pl.Series(y))
+
+
+def test_slopes_are_huber_about_medians(scattered):
+    """A weak ridge of 1e-4; what is far off pulls as if it were 1.345 deviations."""
     # the law's own ram outlet follows from the inlet, so the terms are made anew
-    rows = cruise.with_columns(hx_in_k=pl.Series(y.copy()))
-    x = terms(rows, cruise["cc_out_k"].to_numpy())
+    x = terms(scattered, scattered["cc_out_k"].to_numpy())
+    y = scattered["hx_in_k"].to_numpy().copy()
     for side in (1, 2):
-        own = pack == side
-        x[own], y[own] = x[own] - np.median(x[own], axis=0), y[own] - np.median(y[own])
-    unit, weight = x / x.std(axis=0), np.ones(len(y))
+        own = scattered["pack"].to_numpy() == side
+        x[own] -= np.median(x[own], axis=0)
+        y[own] -= np.median(y[own])
+    unit = x / x.std(axis=0)
+    weight = np.ones(len(y))
     for _ in range(8):
         slopes = np.linalg.solve(unit.T * weight @ unit + 1e-4 * len(y) * np.eye(6), unit.T @ (weight * y))
         miss = np.abs(y - unit @ slopes)
         weight = np.minimum(1.0, 1.345 * 1.4826 * np.median(miss) / miss)
-    learned = learn_inlet(rows, DSM.design, bias)
+    learned = learn_inlet(scattered, DSM.design, bias_of(scattered))
     np.testing.assert_allclose(learned, slopes / x.std(axis=0), rtol=1e-6)
-    assert learn_inlet(rows.head(200), DSM.design, bias[:, :200]) != ()
-    assert learn_inlet(rows.head(199), DSM.design, bias[:, :199]) == ()
 
 
-def test_open_door_cools_inlet(cruise):
+@pytest.mark.parametrize(("n", "n_slopes"), [(200, 6), (199, 0)])
+def test_law_needs_200_samples(scattered, n, n_slopes):
+    few = scattered.head(n)
+    assert len(learn_inlet(few, DSM.design, bias_of(few))) == n_slopes
+
+
+EXIT_K = np.full(6, 296.0)
+
+
+@pytest.fixture(scope="module")
+def six(cruise) -> pl.DataFrame:
+    """Six samples of it."""
+    return cruise.head(6)
+
+
+def full_ram_of(signals: dict[str, np.ndarray]) -> np.ndarray:
+    """Ram flow through an open door."""
+    return clean_ram_flow_kg_s(signals | {"ram_door_open": np.ones(6)}, DSM.design)
+
+
+def inlet_at(rows: pl.DataFrame, slopes: tuple, ram_out_k: np.ndarray) -> np.ndarray:
+    """Inlet behind an open door whose ram outlet is so warm, without its sensor's 0.5 K."""
+    discharge = rows["cc_out_k"].to_numpy()
+    own = rows["hx_in_k"].to_numpy() - 0.5 - terms(rows, discharge) @ slopes
+    return own + terms(rows, discharge, ram_out_k=ram_out_k, door=1.0) @ slopes
+
+
+def test_open_door_cools_inlet(six):
     """Linear in the ram outlet, which is linear in the inlet: solved for the inlet by iteration."""
-    rows = cruise.head(6)
-    bias, discharge = np.tile(BIAS, rows.height), rows["cc_out_k"].to_numpy()
-    s = hx.without_bias({n: rows[n].to_numpy().astype(float) for n in hx.SIGNALS}, bias)
-    exit_k = np.full(6, 296.0)
-    full_ram = clean_ram_flow_kg_s(s | {"ram_door_open": np.ones(6)}, DSM.design)
-    own = rows["hx_in_k"].to_numpy() - 0.5 - terms(rows, discharge) @ SLOPES
+    s = without_bias(six)
+    full_ram = full_ram_of(s)
     share = SLOPES[1] - SLOPES[4] * np.log(full_ram) - SLOPES[5] * np.log(s["pack_flow_kg_s"])
     assert (share < 0.8).all() and (share > 0.0).all()  # noqa: PT018
     inlet = np.full(6, 400.0)
     for _ in range(200):
-        ram_out = s["tat_k"] + s["pack_flow_kg_s"] / full_ram * (inlet - exit_k)
-        inlet = own + terms(rows, discharge, ram_out_k=ram_out, door=1.0) @ SLOPES
-    result = full_open_inlet_k(rows, SLOPES, DSM.design, bias, exit_k)
+        inlet = inlet_at(six, SLOPES, s["tat_k"] + s["pack_flow_kg_s"] / full_ram * (inlet - EXIT_K))
+    result = full_open_inlet_k(six, SLOPES, DSM.design, bias_of(six), EXIT_K)
     np.testing.assert_allclose(result, inlet + 0.5, rtol=1e-9)
-    # no exchanger gives up more than 0.8 of its heat, and none takes any in
-    steep = (0.6, 1.5, 4.0, -6.0, 0.0, 0.0)
-    capped = full_open_inlet_k(rows, steep, DSM.design, bias, exit_k)
+
+
+def test_first_exchanger_takes_no_heat(six):
     rising = (0.6, -0.5, 4.0, -6.0, 0.0, 0.0)
-    own = rows["hx_in_k"].to_numpy() - 0.5 - terms(rows, discharge) @ rising
-    at_tat = own + terms(rows, discharge, ram_out_k=s["tat_k"], door=1.0) @ rising
-    np.testing.assert_allclose(full_open_inlet_k(rows, rising, DSM.design, bias, exit_k) - 0.5, at_tat)
-    own = rows["hx_in_k"].to_numpy() - 0.5 - terms(rows, discharge) @ steep
-    at_tat = own + terms(rows, discharge, ram_out_k=s["tat_k"], door=1.0) @ steep
-    np.testing.assert_allclose(capped - 0.5 - exit_k, (at_tat - exit_k) / (1.0 - 0.8 * s["pack_flow_kg_s"] / full_ram))
+    result = full_open_inlet_k(six, rising, DSM.design, bias_of(six), EXIT_K)
+    np.testing.assert_allclose(result - 0.5, inlet_at(six, rising, without_bias(six)["tat_k"]))
+
+
+def test_first_exchanger_gives_four_fifths(six):
+    """Of its heat, at most."""
+    steep = (0.6, 1.5, 4.0, -6.0, 0.0, 0.0)
+    s = without_bias(six)
+    capped = full_open_inlet_k(six, steep, DSM.design, bias_of(six), EXIT_K)
+    above_exit = inlet_at(six, steep, s["tat_k"]) - EXIT_K
+    np.testing.assert_allclose(capped - 0.5 - EXIT_K, above_exit / (1.0 - 0.8 * s["pack_flow_kg_s"] / full_ram_of(s)))
 
 
 EFFECTIVENESS = 0.4
@@ -145,26 +191,43 @@ def slopes(flown, model):
     return learn_inlet(flown, model.design, model.bias_of(flown))
 
 
+NO_READING = pl.lit(None, pl.Float64)
+
+
 def test_recovers_inlet_law(flown, model, slopes):
     assert slopes[0] == pytest.approx(1.0 - EFFECTIVENESS, abs=0.1)
     assert spread(above(flown, model, slopes)) < 0.5
-    silent = flown.with_columns(cc_out_k=pl.lit(None, pl.Float64))
+
+
+def test_law_holds_without_discharge_temperature(flown, model, slopes):
+    silent = flown.with_columns(cc_out_k=NO_READING)
     assert above(silent, model, slopes)["inlet_apart_k"].is_not_null().all()
+
+
+def test_recovers_inlet_with_open_door(flown, model, slopes):
     bias = model.bias_of(flown)
     signals = hx.without_bias({n: flown[n].to_numpy().astype(float) for n in hx.SIGNALS}, bias)
     full = signals | {"ram_door_open": np.ones(flown.height)}
     truth_k = behind_first_exchanger(full, flown["cc_out_k"].to_numpy(), model)
-    found_k = full_open_inlet_k(flown, slopes, model.design, bias, signals["hx_out_k"])
-    found_k = found_k - bias[hx.BIASES.index("hx_in_k")]
+    inlet_k = full_open_inlet_k(flown, slopes, model.design, bias, signals["hx_out_k"])
+    error_k = np.abs(inlet_k - bias[hx.BIASES.index("hx_in_k")] - truth_k)
     shut = signals["ram_door_open"] < 0.5
-    assert np.median(signals["hx_in_k"][shut] - truth_k[shut]) > 8.0, "what is at stake"
-    assert np.median(np.abs(found_k - truth_k)) < 2.0
-    assert np.quantile(np.abs(found_k - truth_k)[shut], 0.9) < 5.0
-    bias, held_k = model.bias_of(flown), flown["hx_out_k"].to_numpy()
-    recorded = flown["hx_in_k"].to_numpy()
-    np.testing.assert_array_equal(full_open_inlet_k(flown, (), model.design, bias, held_k), recorded)
-    blind = flown.with_columns(cc_out_k=pl.lit(None, pl.Float64), cc_out_pa=pl.lit(None, pl.Float64))
-    np.testing.assert_array_equal(full_open_inlet_k(blind, slopes, model.design, bias, held_k), recorded)
+    assert np.median((signals["hx_in_k"] - truth_k)[shut]) > 8.0, "what is at stake"
+    assert np.median(error_k) < 2.0
+    assert np.quantile(error_k[shut], 0.9) < 5.0
+
+
+@pytest.mark.parametrize("has_law", [False, True])
+def test_inlet_without_law_is_as_recorded(flown, model, slopes, has_law):
+    """Nor has the law an answer without temperature and pressure of the discharge."""
+    rows = flown.with_columns(cc_out_k=NO_READING, cc_out_pa=NO_READING) if has_law else flown
+    inlet = full_open_inlet_k(
+        rows, slopes if has_law else (), model.design, model.bias_of(flown), flown["hx_out_k"].to_numpy()
+    )
+    np.testing.assert_array_equal(inlet, flown["hx_in_k"].to_numpy())
+
+
+def test_few_samples_give_no_law(flown, model):
     assert learn_inlet(flown.head(20), model.design, model.bias_of(flown.head(20))) == ()
     assert above(flown, model, ())["inlet_apart_k"].is_null().all()
 
