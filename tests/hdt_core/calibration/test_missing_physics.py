@@ -26,7 +26,8 @@ SPRAY = 0.3
 
 def lacking_term(fleet, name, value):
     """The fleet as its sensors record it where the exchanger meets what the term says."""
-    truth, signal = {name: fleet.samples[name].to_numpy() for name in hx.SIGNALS}, TERMS[name].signal
+    truth = {name: fleet.samples[name].to_numpy() for name in hx.SIGNALS}
+    signal = TERMS[name].signal
     readings = pl.Series(signal, record_signals(truth, {name: value})[signal])
     return replace(fleet, samples=fleet.samples.with_columns(readings))
 
@@ -64,31 +65,36 @@ def test_complete_model_gets_no_proposal(fleet, model):
     assert proposals["bic_gain"].max() < 0.0
 
 
-def test_missing_term_is_proposed_alone(sprayed, lacking, mended):
+def test_missing_term_is_proposed_alone(sprayed, lacking):
     proposals = propose(estimate_flights(sprayed.samples, lacking), lacking)
     assert proposals.filter("proposed")["term"].to_list() == ["water_spray"]
     best = proposals.row(0, named=True)
     assert best["held_out_change"] < -0.3
     assert best["value"] == pytest.approx(SPRAY, abs=4.0 * best["sd"])
+
+
+def test_accepted_term_mends_model(sprayed, lacking, mended):
     assert mended.terms["water_spray"] == pytest.approx(SPRAY, abs=0.06)
     before, after = (estimate_flights(sprayed.samples, model) for model in (lacking, mended))
     assert scatter(after) < 0.7 * scatter(before)
     assert not propose(after, mended)["proposed"].any()
+
+
+def test_mended_model_survives_dict(mended):
     assert Dsm.from_dict(mended.to_dict()) == mended
 
 
 @pytest.mark.parametrize(("name", "value"), [("water_spray", SPRAY), ("flow_leak", 0.2)])
 def test_term_explains_unseen_aircraft(plain, name, value):
     """Aircraft 3 is left out of every calibration; where nothing is missing, its residual is what no model explains."""
-    learned, other = ("T-00", "T-01", "T-02"), "T-03"
     fleet = lacking_term(plain, name, value)
-    taught = fleet.only(*learned)
+    taught = fleet.only("T-00", "T-01", "T-02")
     refitted = calibrate(taught.samples, taught.legs, taught.maintenance, (name,))
     assert refitted.terms[name] == pytest.approx(value, rel=0.3)
-    noise_model = calibrate(plain.only(*learned).samples, taught.legs, taught.maintenance)
-    noise = scatter(estimate_flights(plain.only(other).samples, noise_model))
+    noise_model = calibrate(plain.only("T-00", "T-01", "T-02").samples, taught.legs, taught.maintenance)
+    noise = scatter(estimate_flights(plain.only("T-03").samples, noise_model))
     plain_fit = calibrate(taught.samples, taught.legs, taught.maintenance)
-    before, after = (scatter(estimate_flights(fleet.only(other).samples, m)) for m in (plain_fit, refitted))
+    before, after = (scatter(estimate_flights(fleet.only("T-03").samples, m)) for m in (plain_fit, refitted))
     assert after < 0.7 * before
     assert after < 1.1 * noise
 

@@ -1,7 +1,5 @@
 """Partial pooling by dense matrices; two sensors of one thing; wear that a unit brings along: Bayes' rule by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import polars as pl
 import pytest
@@ -19,19 +17,22 @@ GRID = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4)
 
 def by_matrices(value, error, operator) -> np.ndarray:
     """Mean and sd of fleet, operators and packs: a very wide prior on the fleet's mean, a flat one on the spreads."""
-    finite, n = np.isfinite(value), int(operator.max()) + 1
-    unit, design = max(np.std(value[finite]), np.median(error[finite])), np.eye(n)[operator]
-    moments, logs = [], []
+    finite = np.isfinite(value)
+    n = int(operator.max()) + 1
+    unit = max(np.std(value[finite]), np.median(error[finite]))
+    # fleet, operators, packs from the fleet's mean, operators' and packs' deviations
+    to = np.block([
+        [np.ones((1, 1)), np.zeros((1, n + len(value)))],
+        [np.ones((n, 1)), np.eye(n), np.zeros((n, len(value)))],
+        [np.ones((len(value), 1)), np.eye(n)[operator], np.eye(len(value))],
+    ])  # fmt: skip
+    rows = 1 + n + np.flatnonzero(finite)
+    moments = []
+    logs = []
     for a in GRID if n > 1 else [0.0]:
         for b in GRID[1:]:
-            # fleet, operators, packs from the fleet's mean, operators' and packs' deviations
-            to = np.block([
-                [np.ones((1, 1)), np.zeros((1, n + len(value)))],
-                [np.ones((n, 1)), np.eye(n), np.zeros((n, len(value)))],
-                [np.ones((len(value), 1)), design, np.eye(len(value))],
-            ])  # fmt: skip
-            cov = np.diag(np.r_[1e5 * unit**2, [(a * unit) ** 2] * n, [(b * unit) ** 2] * len(value)])
-            cov, rows = to @ cov @ to.T, 1 + n + np.flatnonzero(finite)
+            deviations = np.diag(np.r_[1e5 * unit**2, [(a * unit) ** 2] * n, [(b * unit) ** 2] * len(value)])
+            cov = to @ deviations @ to.T
             noise = cov[np.ix_(rows, rows)] + np.diag(error[finite] ** 2)
             gain = cov[:, rows] @ np.linalg.inv(noise)
             moments.append((gain @ value[finite], np.diag(cov - gain @ cov[rows])))
@@ -66,8 +67,9 @@ def test_pooling_is_normal_posterior(n_operators, size):
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
 def test_pooling_is_free_of_units(unit):
     """Two hundred packs, whose evidence alone would be beyond the range of numbers."""
-    rng = np.random.default_rng(1)
-    value, error, operator = rng.standard_normal(200), np.full(200, 0.3), np.arange(200) % 2
+    value = np.random.default_rng(1).standard_normal(200)
+    error = np.full(200, 0.3)
+    operator = np.arange(200) % 2
     for plain, other in zip(pool(value, error, operator), pool(unit * value, unit * error, operator), strict=True):
         np.testing.assert_allclose(other, unit * np.asarray(plain), rtol=1e-6)
 
@@ -77,19 +79,24 @@ def test_silent_operator_has_fleet_level():
     value, error, operator = draw_packs(3)
     value[operator == 2] = np.nan
     pooled = pool(value, error, operator)
-    assert pooled.operator[2] == pytest.approx(pooled.fleet, rel=1e-6)
-    assert pooled.pack[2] == pytest.approx(pooled.fleet, rel=1e-6)
+    assert (pooled.operator[2], pooled.pack[2]) == pytest.approx((pooled.fleet, pooled.fleet), rel=1e-6)
     assert pooled.fleet_sd < pooled.operator_sd[2] < pooled.pack_sd[2]
-    # The density of one unit is above 10, that of all together beyond 1e308.
-    ratios, none = np.tile([0.06, -0.02, 0.01], 100), np.zeros(300, dtype=bool)
+
+
+def test_hundreds_of_units_stay_finite():
+    """The density of one unit is above 10, that of all together beyond 1e308."""
+    ratios = np.tile([0.06, -0.02, 0.01], 100)
+    none = np.zeros(300, dtype=bool)
     together = _clean_units(ratios, np.full(300, 1e-4), none)
     assert together == pytest.approx(clean_units(ratios, [0.01] * 300, none), rel=1e-6)
 
 
 def test_empty_pool_is_nan():
     pooled = pool(np.full(3, np.nan), np.ones(3), np.zeros(3, dtype=int))
-    assert np.isnan(pooled.fleet)
-    assert np.isnan(pooled.pack).all()
+    assert np.isnan([pooled.fleet, *pooled.pack]).all()
+
+
+def test_levels_have_names():
     packs = pl.DataFrame({
         "operator": ["B", "A", "B"], "tail": ["T1", "T2", "T3"], "pack": [1, 2, 1], "value": [1.0, 1.1, 1.2],
         "error_sd": [0.1, 0.1, 0.1], "n": [10, 20, 5],
@@ -114,70 +121,97 @@ def cruise(**columns: list[float | None]) -> pl.DataFrame:
     return rows.with_columns(flight_id=pl.lit("F"), time_utc=pl.lit(START))
 
 
-def test_sensor_prior_shares_pack_difference():
-    """Pack flow and compressor flow, 2 % each, share evenly; TAT has 0.5 K against 1 K over the root of two packs."""
-    rows = cruise(pack_flow_kg_s=[0.8 * np.exp(0.03), 0.8, 0.9, 0.9], cc_flow_kg_s=[0.8, 0.8, 0.9, 0.9],
-                  tat_k=[251.0, 252.0, 253.0, 253.0], cc_in_k=[250.0, 250.0, 253.0, 253.0])  # fmt: skip
-    mean, sd = sensor_prior(rows, PACKS)
-    flow, tat = hx.BIASES.index("pack_flow_kg_s"), hx.BIASES.index("tat_k")
-    np.testing.assert_allclose(mean[:, flow], [0.015, 0.0, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(sd[:, flow], 0.02 * np.sqrt(0.5))
+APART = cruise(pack_flow_kg_s=[0.8 * np.exp(0.03), 0.8, 0.9, 0.9], cc_flow_kg_s=[0.8, 0.8, 0.9, 0.9],
+               tat_k=[251.0, 252.0, 253.0, 253.0], cc_in_k=[250.0, 250.0, 253.0, 253.0])  # fmt: skip
+FLOW = hx.BIASES.index("pack_flow_kg_s")
+TAT = hx.BIASES.index("tat_k")
+
+
+def test_flows_share_difference_evenly():
+    """Pack flow and compressor flow, 2 % each."""
+    mean, sd = sensor_prior(APART, PACKS)
+    np.testing.assert_allclose(mean[:, FLOW], [0.015, 0.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(sd[:, FLOW], 0.02 * np.sqrt(0.5))
+
+
+def test_tat_takes_share_by_error():
+    """TAT has 0.5 K against 1 K over the root of two packs."""
+    mean, sd = sensor_prior(APART, PACKS)
     share = 0.25 / (0.25 + 0.5)
-    np.testing.assert_allclose(mean[:, tat], share * np.array([0.75, 0.75, -0.75, -0.75]))
-    np.testing.assert_allclose(sd[:, tat], 0.5 * np.sqrt(1.0 - share))
+    np.testing.assert_allclose(mean[:, TAT], share * np.array([0.75, 0.75, -0.75, -0.75]))
+    np.testing.assert_allclose(sd[:, TAT], 0.5 * np.sqrt(1.0 - share))
+
+
+def test_three_packs_share_tat():
     three = pl.concat([PACKS[:2], PACKS[:1].with_columns(pack=pl.lit(3, pl.Int32)), PACKS[2:]])
     apart = pl.Series([3.0, 1.0, 0.5, 0.0, 0.0])
-    more = pl.concat([rows[:2], rows[:1], rows[2:]]).with_columns(pack=three["pack"], tat_k=pl.col("cc_in_k") + apart)
-    share = 0.25 / (0.25 + 1.0 / 3.0)
-    np.testing.assert_allclose(sensor_prior(more, three)[0][:3, tat], share * 0.0, atol=1e-12)
-    np.testing.assert_allclose(sensor_prior(more, three)[0][3:, tat], 0.25 / 0.75 * -1.5)
-    others = [k for k in range(6) if k not in (flow, tat)]
+    more = pl.concat([APART[:2], APART[:1], APART[2:]])
+    more = more.with_columns(pack=three["pack"], tat_k=pl.col("cc_in_k") + apart)
+    mean = sensor_prior(more, three)[0][:, TAT]
+    np.testing.assert_allclose(mean, [0.0, 0.0, 0.0, -0.5, -0.5], atol=1e-12)
+
+
+def test_other_sensors_keep_declared_error():
+    mean, sd = sensor_prior(APART, PACKS)
+    others = [k for k in range(6) if k not in (FLOW, TAT)]
     assert not mean[:, others].any()
     np.testing.assert_allclose(sd[:, others], np.tile(hx.BIAS_SDS[others], (4, 1)))
 
 
 def test_single_sensor_keeps_declared_error():
-    mean, sd = sensor_prior(cruise(cc_flow_kg_s=[None] * 4, cc_in_k=[None] * 4).cast({"cc_flow_kg_s": pl.Float64,
-                            "cc_in_k": pl.Float64}), PACKS)  # fmt: skip
+    unrecorded = dict.fromkeys(("cc_flow_kg_s", "cc_in_k"), pl.Series([None] * 4, dtype=pl.Float64))
+    alone = cruise(**unrecorded)
+    mean, sd = sensor_prior(alone, PACKS)
     assert not mean.any()
     np.testing.assert_allclose(sd, np.tile(hx.BIAS_SDS, (4, 1)))
-    # Its inlet has 1 K against TAT's 0.5 K: 0.8 of the difference; .3 % of pressure against .2 %: 9/13.
+
+
+def test_compressor_probes_take_their_share():
+    """Its inlet has 1 K against TAT's 0.5 K: 0.8 of the difference; .3 % of pressure against .2 %: 9/13."""
     rows = cruise(cc_in_k=[252.0, 250.0, 253.0, 253.0], cc_in_pa=[3e4 * np.exp(0.01), 3e4, 2e4, 2e4],
                   tat_k=[250.0, 250.0, 253.0, 253.0], total_pressure_pa=[3e4, 3e4, 2e4, 2e4])  # fmt: skip
-    corrections = probe_corrections(rows, PACKS)
-    np.testing.assert_allclose(corrections["inlet_bias_k"], [1.6, 0.0, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(corrections["inlet_bias_ln"], [0.01 * 9.0 / 13.0, 0.0, 0.0, 0.0], atol=1e-12)
-    assert corrections["exit_bias_ln"].to_list() == [0.0] * 4
+    corrections = probe_corrections(rows, PACKS).select("inlet_bias_k", "inlet_bias_ln", "exit_bias_ln")
+    expected = [(1.6, 0.01 * 9.0 / 13.0, 0.0), *[(0.0, 0.0, 0.0)] * 3]
+    np.testing.assert_allclose(corrections, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(("n_flights", "enough"), [(9, False), (10, True)])
 def test_exit_bias_is_beyond_schedule(n_flights, enough):
     """Of four packs ten flights each; one reads 1 % high, which varies more between packs than probes do."""
     rng = np.random.default_rng(2)
-    beyond = [0.01, 0.0, -0.002, 0.002]
+    beyond = np.array([0.01, 0.0, -0.002, 0.002])
     rows = []
     for k in range(n_flights):
-        height, flow = 1.0 + 0.1 * rng.standard_normal(), 0.8 * np.exp(0.1 * rng.standard_normal())
+        height = 1.0 + 0.1 * rng.standard_normal()
+        flow = 0.8 * np.exp(0.1 * rng.standard_normal())
         out = np.exp(11.0 + 0.3 * height - 0.2 * height**2 + 0.5 * np.log(flow) + beyond)
         flows = {"pack_flow_kg_s": [1.2 * flow] * 4, "cc_flow_kg_s": [flow / 1.2] * 4}
-        rows.append(cruise(altitude_m=[1e4 * height] * 4, cc_out_pa=out, **flows).with_columns(
-            flight_id=pl.lit(f"F{k}")))  # fmt: skip
+        one = cruise(altitude_m=[1e4 * height] * 4, cc_out_pa=out, **flows)
+        rows.append(one.with_columns(flight_id=pl.lit(f"F{k}")))
     corrections = probe_corrections(pl.concat(rows), PACKS)["exit_bias_ln"].to_numpy()
-    share = min(0.8, 0.004**2 / np.var(beyond, ddof=1))
-    want = share * (np.array(beyond) - np.median(beyond)) if enough else np.zeros(4)
-    np.testing.assert_allclose(corrections, want, atol=1e-9)
+    share = enough * min(0.8, 0.004**2 / np.var(beyond, ddof=1))
+    np.testing.assert_allclose(corrections, share * (beyond - np.median(beyond)), atol=1e-9)
 
 
-@pytest.mark.parametrize(("doors", "apart"), [((0.5, 0.5), 6.0), ((0.95, 0.05), 6.0), ((0.5, 0.96), None)])
-def test_exits_compare_with_free_doors(doors, apart):
-    rows = pl.concat([
+def exits(doors: tuple[float, float]) -> pl.DataFrame:
+    """Four samples of two packs whose exits lie 6 K apart, and whose doors stand so."""
+    return pl.concat([
         PACKS[:2].with_columns(flight_id=pl.lit("F"), hx_out_k=pl.Series([300.0 + k, 294.0 + k]),
                                ram_door_open=pl.Series(doors))
         for k in (-1.0, 0.0, 0.0, 1.0)
     ])  # fmt: skip
-    differences = exit_differences(rows).sort("pack")["apart_k"].to_list()
-    assert differences == ([apart, -apart] if apart else [None, None])
-    assert exit_differences(rows.filter(pl.col("pack") == 1))["apart_k"].to_list() == [None]
+
+
+@pytest.mark.parametrize(
+    ("doors", "apart"), [((0.5, 0.5), [6.0, -6.0]), ((0.95, 0.05), [6.0, -6.0]), ((0.5, 0.96), [None] * 2)]
+)
+def test_exits_compare_with_free_doors(doors, apart):
+    assert exit_differences(exits(doors)).sort("pack")["apart_k"].to_list() == apart
+
+
+@pytest.mark.parametrize("doors", [(0.5, 0.5), (0.95, 0.05), (0.5, 0.96)])
+def test_lone_exit_has_no_difference(doors):
+    assert exit_differences(exits(doors).filter(pack=1))["apart_k"].to_list() == [None]
 
 
 @pytest.mark.parametrize(("stuck", "is_compared"), [(1, True), (2, False)])
@@ -193,18 +227,23 @@ def test_comparison_needs_mostly_free_doors(stuck, is_compared):
 
 def test_biases_are_removed_with_sign():
     """A sensor that reads high by its bias meets less than it reads; the flow's is a fraction."""
-    signals = {n: np.array([v]) for n, v in zip((*hx.SIGNALS, "ram_out_k"), (1e4, 0.8, 250.0, 3e4, 400.0, 300.0, 0.4,
-                                                0.8, 320.0), strict=True)}  # fmt: skip
+    readings = {"altitude_m": 1e4, "mach": 0.8, "tat_k": 250.0, "total_pressure_pa": 3e4, "hx_in_k": 400.0,
+                "hx_out_k": 300.0, "ram_door_open": 0.4, "pack_flow_kg_s": 0.8, "ram_out_k": 320.0}  # fmt: skip
     bias = np.array([[0.02], [1.0], [2.0], [-0.5], [0.01], [3.0]])
-    corrected = hx.without_bias(signals, bias)
-    assert corrected["pack_flow_kg_s"][0] == pytest.approx(0.8 * np.exp(-0.02))
-    got = [corrected[n][0] for n in ("hx_in_k", "hx_out_k", "tat_k", "ram_door_open", "ram_out_k", "mach")]
-    np.testing.assert_allclose(got, [399.0, 298.0, 250.5, 0.39, 317.0, 0.8])
-    rows = PACKS.with_columns(pl.lit(0))
+    corrected = hx.without_bias({n: np.array([v]) for n, v in readings.items()}, bias)
+    changed = {"pack_flow_kg_s": 0.8 * np.exp(-0.02), "hx_in_k": 399.0, "hx_out_k": 298.0, "tat_k": 250.5,
+               "ram_door_open": 0.39, "ram_out_k": 317.0, "mach": 0.8}  # fmt: skip
+    assert {n: corrected[n][0] for n in changed} == pytest.approx(changed)
+
+
+def test_biases_are_those_of_packs():
     dsm = with_bias(("A", 1), ("B", 2), hx_out_k=2.0, tat_k=-0.5)
-    np.testing.assert_allclose(dsm.bias_of(rows)[2], [2.0, 0.0, 0.0, 2.0])
-    np.testing.assert_allclose(dsm.bias_of(rows)[3], [-0.5, 0.0, 0.0, -0.5])
-    assert not DSM.bias_of(rows).any()
+    bias = dsm.bias_of(PACKS.with_columns(pl.lit(0)))
+    np.testing.assert_allclose(bias[2:4], [[2.0, 0.0, 0.0, 2.0], [-0.5, 0.0, 0.0, -0.5]])
+
+
+def test_unmet_packs_have_no_bias():
+    assert not DSM.bias_of(PACKS.with_columns(pl.lit(0))).any()
 
 
 ENTRY = [(0.50, 0.004, 0.005), (0.20, 0.030, 0.020), (0.18, 0.090, 0.040), (0.12, 0.200, 0.080)]
@@ -272,15 +311,19 @@ def test_clean_level_is_integrated():
     assert fleet_level.reference_ua_w_k == clean
 
 
-def test_few_flights_keep_prior_scatter():
-    few = flights(15, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
-    assert fleet_levels(few, log(), DSM).flight_sd == pytest.approx(np.sqrt(0.015**2 - 0.004**2))
-    calm = flights(21, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
-    assert fleet_levels(calm, log(), DSM).flight_sd == 0.005
-    assert fleet_levels(calm.head(20), log(), DSM).flight_sd > 0.01
-    none = flights(3, ln_ua_ratio=pl.Series([None] * 3, dtype=pl.Float64).to_list(), ln_ua_ratio_sd=0.1)
-    assert fleet_levels(none.cast({"ln_ua_ratio": pl.Float64}), log(), DSM) == DSM
-    assert replace(DSM) == DSM
+CALM = flights(21, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0)
+
+
+@pytest.mark.parametrize(
+    ("n", "scatter"), [(15, np.sqrt(0.015**2 - 0.004**2)), (20, np.sqrt(0.015**2 - 0.004**2)), (21, 0.005)]
+)
+def test_few_flights_keep_prior_scatter(n, scatter):
+    assert fleet_levels(CALM.head(n), log(), DSM).flight_sd == pytest.approx(scatter, rel=1e-12)
+
+
+def test_no_ratio_changes_no_level():
+    none = CALM.head(3).with_columns(ln_ua_ratio=pl.lit(None, pl.Float64))
+    assert fleet_levels(none, log(), DSM) == DSM
 
 
 @pytest.mark.parametrize("wear", [0.0, 0.1, 0.4])
