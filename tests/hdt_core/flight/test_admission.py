@@ -3,6 +3,7 @@
 import numpy as np
 import polars as pl
 import pytest
+from alter import alter
 
 from benchmarks.chain import admit_fleet
 from hdt_core.flight.admission import (
@@ -34,51 +35,66 @@ def admitted(fleet, level_one):
     return admit_fleet(*level_one, fleet.maintenance, fleet.messages)
 
 
-def test_second_level_keeps_first_verdicts(level_one, admitted, fleet):
+@pytest.fixture(scope="module")
+def norm(fleet, level_one) -> NominalBaseline:
+    return learn_baseline(*level_one, fleet.maintenance, fleet.messages)
+
+
+def test_second_level_keeps_every_leg(level_one, admitted):
     assert admitted.select(LEG).equals(level_one[0].select(LEG))
-    assert set(admitted["reason"]) <= {"", *REASONS, *SECOND_LEVEL}
-    assert (admitted["admitted"] == (admitted["reason"] == "")).all()
     assert admitted.columns == level_one[0].columns
+
+
+def test_second_level_keeps_first_verdicts(level_one, admitted):
+    rejected = level_one[0].with_row_index().filter(pl.col("reason") != "")
+    assert admitted["reason"].gather(rejected["index"]).to_list() == rejected["reason"].to_list()
+
+
+def test_second_level_rejects_for_reason(level_one, admitted):
+    assert {"MAINTENANCE", "MESSAGE"} <= set(admitted["reason"]) <= {"", *REASONS, *SECOND_LEVEL}
+    assert (admitted["admitted"] == (admitted["reason"] == "")).all()
     assert admitted["admitted"].sum() < level_one[0]["admitted"].sum()
-    assert {"MAINTENANCE", "MESSAGE"} <= set(admitted["reason"])
-    turned = level_one[0].with_row_index().filter(pl.col("reason") != "")
-    assert admitted["reason"].gather(turned["index"]).to_list() == turned["reason"].to_list()
+
+
+def test_second_level_separates_sick_flights(fleet, admitted):
     arrived = fleet.truth.filter("arrived").join(admitted.select(*KEY, "admitted"), on=KEY, how="left")
     assert arrived.filter("nominal")["admitted"].mean() >= 0.82
     assert arrived.filter("admitted")["contaminant"].mean() <= 0.05
-    worn = admitted.filter("admitted").head(3)
-    wear = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.3), sd=pl.lit(0.02))
+
+
+def reasons_with_loss(fleet, level_one, legs: pl.DataFrame, loss: float) -> list[str]:
+    """Second verdicts on legs of which the track says such a loss."""
+    wear = legs.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(loss), sd=pl.lit(0.02))
     again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, wear)
-    assert again.join(worn.select(LEG), on=LEG, how="semi")["reason"].to_list() == ["HX_WORN"] * 3
+    return again.join(legs.select(LEG), on=LEG, how="semi")["reason"].to_list()
+
+
+def test_tracked_loss_rejects_leg(fleet, level_one, admitted):
+    sound = admitted.filter("admitted").head(3)
+    assert reasons_with_loss(fleet, level_one, sound, 0.3) == ["HX_WORN"] * 3
+
+
+def test_tracked_soundness_admits_leg(fleet, level_one, admitted):
     worn = admitted.filter(pl.col("reason") == "HX_WORN")
-    wear = worn.select(*LEG).with_columns(parameter=pl.lit("hx_fouling"), value=pl.lit(0.02), sd=pl.lit(0.02))
-    again = admit_fleet(*level_one, fleet.maintenance, fleet.messages, wear)
     assert worn.height > 20
-    assert set(again.join(worn.select(LEG), on=LEG, how="semi")["reason"]) <= {"", "OUTLIER"}
-
-
-def _planted(samples: pl.DataFrame, legs: pl.DataFrame, column: str, change: pl.Expr, mine: pl.Expr) -> pl.DataFrame:
-    rows = samples.join(legs.select(*LEG, "flight_number"), on=LEG, how="left", maintain_order="left")
-    return rows.with_columns(pl.when(mine).then(change).otherwise(pl.col(column)).alias(column)).drop("flight_number")
+    assert set(reasons_with_loss(fleet, level_one, worn, 0.02)) <= {"", "OUTLIER"}
 
 
 @pytest.mark.parametrize("step_k", [-4.0, 4.0])
 def test_outlet_step_flags_own_pack(level_one, step_k):
     legs, samples = level_one
-    tail = legs["tail"][0]
-    span = pl.col("flight_number").is_between(100, 130) & (pl.col("tail") == tail)
-    off = _planted(samples, legs, "hx_out_k", pl.col("hx_out_k") + step_k, span & (pl.col("pack") == 1))
-    checks = check_sensors(leg_checks(off, learn_outlet_schedule(off)), legs).join(
-        legs.select(*LEG, "flight_number"), on=LEG
+    numbers = legs.select(*LEG, "flight_number")
+    span = pl.col("flight_number").is_between(100, 130) & (pl.col("tail") == legs["tail"][0])
+    one, two = (span & (pl.col("pack") == pack) for pack in (1, 2))
+    rows = samples.join(numbers, on=LEG, how="left", maintain_order="left")
+    off = alter(rows, one, hx_out_k=pl.col("hx_out_k") + step_k).drop("flight_number")
+    before, after = (
+        check_sensors(leg_checks(s, learn_outlet_schedule(s)), legs).join(numbers, on=LEG) for s in (samples, off)
     )
-    before = check_sensors(leg_checks(samples, learn_outlet_schedule(samples)), legs).join(
-        legs.select(*LEG, "flight_number"), on=LEG
-    )
-    sound = before.filter(span & (pl.col("pack") == 1) & ~pl.col("sensor_shift"))
-    hit = checks.join(sound.select(LEG), on=LEG, how="semi")
-    assert hit["sensor_shift"].mean() >= 0.9
-    other = checks.filter(span & (pl.col("pack") == 2))
-    assert other["sensor_shift"].mean() <= before.filter(span & (pl.col("pack") == 2))["sensor_shift"].mean() + 0.1
+    sound = before.filter(one & ~pl.col("sensor_shift")).select(LEG)
+    assert after.join(sound, on=LEG, how="semi")["sensor_shift"].mean() >= 0.9
+    share_before, share_after = (checks.filter(two)["sensor_shift"].mean() for checks in (before, after))
+    assert share_after <= share_before + 0.1
 
 
 def _apart(legs: pl.DataFrame, column: str, slope: float, mine: pl.Expr) -> pl.DataFrame:
@@ -91,10 +107,10 @@ def _apart(legs: pl.DataFrame, column: str, slope: float, mine: pl.Expr) -> pl.D
 
 
 @pytest.mark.parametrize(("column", "slope"), [("inlet_apart_k", 0.15), ("door_apart_ln", 0.004)])
-def test_twins_drift_is_rejected_early(fleet, level_one, column, slope):
+def test_twins_drift_is_rejected_early(fleet, level_one, norm, column, slope):
+    """From its first flights on, though no other check sees it."""
     legs, samples = level_one
     mine = (pl.col("tail") == legs["tail"][0]) & (pl.col("pack") == 1)
-    norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
     signs = leg_indicators(samples, norm)
     logs = fleet.maintenance, fleet.messages
     twins = (_apart(legs, column, rate, mine) for rate in (0.0, slope))
@@ -105,19 +121,13 @@ def test_twins_drift_is_rejected_early(fleet, level_one, column, slope):
     assert hit.filter(~mine | ~pl.col("flight_number").is_between(90, 145))["admitted"].mean() > 0.99
 
 
-@pytest.mark.parametrize("ice_k", [4.0])
-def test_ice_makes_leg_restless(level_one, ice_k):
+def test_ice_makes_leg_restless(level_one):
     legs, samples = level_one
+    manifold = learn_manifold(samples, legs)
     enough = pl.col("monitored").sum().over(LEG) >= 10
-    place = pl.col("monitored").cum_sum().over(LEG)
-    calm = leg_conductance(samples, learn_manifold(samples, legs))
-    iced = samples.with_columns(
-        pl.when(enough & pl.col("monitored") & place.is_between(3, 6))
-        .then(pl.col("hx_out_k") + ice_k)
-        .otherwise("hx_out_k")
-        .alias("hx_out_k")
-    )
-    restless = leg_conductance(iced, learn_manifold(samples, legs))
+    icing = enough & pl.col("monitored") & pl.col("monitored").cum_sum().over(LEG).is_between(3, 6)
+    iced = alter(samples, icing, hx_out_k=pl.col("hx_out_k") + 4.0)
+    calm, restless = (leg_conductance(rows, manifold) for rows in (samples, iced))
     both = calm.join(restless, on=LEG, suffix="_iced").filter(pl.col("index_n") >= 10)
     assert (both["index_unrest"] > 6.5).mean() <= 0.05
     assert (both["index_unrest_iced"] > 6.5).mean() >= 0.8
@@ -130,9 +140,16 @@ def test_index_falls_with_true_loss(fleet, level_one):
     columns = (pl.col("index_level"), pl.col("apparent_ua_ratio"))
     change = sound.select(c - c.median().over("tail", "pack") for c in columns)
     assert np.corrcoef(change.to_numpy().T)[0, 1] > 0.8
+
+
+def test_few_samples_have_no_index(level_one):
+    legs, samples = level_one
     few = samples.head(3)
     assert add_conductance_index(few, learn_manifold(few, legs))["conductance_index"].null_count() == 3
-    norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
+
+
+def test_indicators_are_of_leg_alone(level_one, norm):
+    legs, samples = level_one
     some = samples.filter(pl.col("flight_id").is_in(legs["flight_id"].unique().sort().gather_every(7).implode()))
     whole, part = (leg_indicators(s, norm).sort(LEG) for s in (samples, some))
     assert part.equals(whole.join(part.select(LEG), on=LEG, how="semi").sort(LEG))
@@ -151,11 +168,13 @@ def test_mcd_is_not_masked_by_outliers(share):
     assert out[~sick].mean() <= 0.01
 
 
-def test_norm_judges_each_tail_alone(fleet, level_one, admitted):
+def test_norm_survives_json(norm):
+    for one in (norm, NominalBaseline()):
+        assert NominalBaseline.from_json(one.to_json()) == one
+
+
+def test_norm_judges_each_tail_alone(fleet, level_one, norm, admitted):
     legs, samples = level_one
-    norm = learn_baseline(legs, samples, fleet.maintenance, fleet.messages)
-    assert NominalBaseline.from_json(norm.to_json()) == norm
-    assert NominalBaseline.from_json(NominalBaseline().to_json()) == NominalBaseline()
     for (tail,), own in legs.group_by("tail"):
         signs = leg_indicators(samples.filter(tail=tail), norm)
         alone = admit(norm, own, signs, fleet.maintenance, fleet.messages)
@@ -204,14 +223,23 @@ def test_worn_leg_is_rejected(parameter, value, sd, reason):
     assert set(result["n_nominal"]) == {0 if reason else 9}
 
 
-def test_earlier_reason_stays():
+def test_exchanger_is_reason_before_compressor():
     both = pl.concat([losses("cc_efficiency_loss", 0.3, 0.0), losses("hx_fouling", 0.3, 0.0)])
     assert set(verdicts(health=both)["reason"]) == {"HX_WORN"}
-    low = {"index_level": [0.0] * 20 + [-0.2] * 10}
-    assert verdicts(**low)["reason"].to_list() == [""] * 20 + ["HX_WORN"] * 10
-    assert set(verdicts(health=losses("hx_fouling", 0.0, 0.0), **low)["reason"]) == {""}
-    assert verdicts(health=losses("cc_efficiency_loss", 0.0, 0.0), **low)["reason"].to_list()[-1] == "HX_WORN"
-    legs = LEGS.with_columns(reason=pl.when(pl.col("flight_number") == 3).then(pl.lit("ICING")).otherwise(pl.lit("")))
+
+
+@pytest.mark.parametrize(
+    ("health", "late"),
+    [(None, "HX_WORN"), (losses("hx_fouling", 0.0, 0.0), ""), (losses("cc_efficiency_loss", 0.0, 0.0), "HX_WORN")],
+    ids=["untracked", "exchanger tracked", "compressor tracked"],
+)
+def test_index_judges_untracked_exchanger(health, late):
+    result = verdicts(health=health, index_level=[0.0] * 20 + [-0.2] * 10)
+    assert result["reason"].to_list() == [""] * 20 + [late] * 10
+
+
+def test_earlier_reason_stays():
+    legs = alter(LEGS, pl.col("flight_number") == 3, reason=pl.lit("ICING"))
     result = verdicts(legs, index_unrest=[7.0] * N, index_level=[0.3 * (k == 5) for k in range(N)])
     assert result["reason"].to_list() == ["ICING" if k == 3 else "UNREST" for k in range(N)]
     assert not result["admitted"].any()
