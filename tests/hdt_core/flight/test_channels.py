@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import polars as pl
 import pytest
+from alter import alter
 
 from hdt_core.flight.channels import OWN_SIGNALS, find_channels, regular_gaps
 from hdt_core.flight.legs import judge_legs
@@ -70,11 +71,11 @@ def test_coarse_step_is_no_frozen_sensor(signal, step):
 
 @pytest.mark.parametrize("step", [0.25, 1.0, 2.0])
 def test_frozen_flow_is_flagged_beside_steps(step):
-    stuck = pl.when(pl.col("pack") == 2).then(100 * LB_MIN).otherwise("pack_flow_kg_s").alias("pack_flow_kg_s")
-    assert reasons(in_steps(fly(), "pack_flow_kg_s", step * LB_MIN).with_columns(stuck)) == ["", "SENSOR_FROZEN"]
+    stepped = in_steps(fly(), "pack_flow_kg_s", step * LB_MIN)
+    assert reasons(alter(stepped, pl.col("pack") == 2, pack_flow_kg_s=100 * LB_MIN)) == ["", "SENSOR_FROZEN"]
 
 
-PATTERNS = [(p, kept) for p in (2, 3, 4) for kept in (True, False)]
+PATTERNS = [(period, is_value) for period in (2, 3, 4) for is_value in (True, False)]
 
 
 def with_gaps(records: pl.DataFrame, signal: str, period: int, *, one_is_kept: bool) -> pl.DataFrame:
@@ -86,17 +87,13 @@ def with_gaps(records: pl.DataFrame, signal: str, period: int, *, one_is_kept: b
 def test_regular_gap_is_a_lower_rate(period, one_is_kept):
     records = with_gaps(fly(), "hx_out_k", period, one_is_kept=one_is_kept)
 
-    found = find_channels(records)
-
-    assert found.select("signal", "reason").rows() == [("hx_out_k", "lower_rate")] * 2
+    assert find_channels(records).select("signal", "reason").rows() == [("hx_out_k", "lower_rate")] * 2
     assert reasons(records) == ["", ""]
 
 
 @pytest.mark.parametrize("value", [-999.0, 32_767.0])
-def test_number_for_no_value_is_a_gap(value):
-    chosen = pl.int_range(pl.len()).over("pack") % 3 == 1
-    records = fly().with_columns(pl.when(chosen).then(value).otherwise("vda_counts").alias("vda_counts"))
-    assert reasons(records) == ["", ""]
+def test_code_for_no_value_is_gap(value):
+    assert reasons(alter(fly(), pl.int_range(pl.len()).over("pack") % 3 == 1, vda_counts=value)) == ["", ""]
 
 
 def test_chance_gaps_are_irregular():
@@ -107,9 +104,8 @@ def test_chance_gaps_are_irregular():
 
 
 def test_random_gaps_are_missing():
-    lost = pl.int_range(pl.len()).over("pack") ** 3 % 31 < 9
-    records = fly().with_columns(pl.when(~(lost & (pl.col("pack") == 2))).then("hx_out_k").alias("hx_out_k"))
-    assert reasons(records) == ["", "SENSOR_MISSING"]
+    gaps = (pl.int_range(pl.len()).over("pack") ** 3 % 31 < 9) & (pl.col("pack") == 2)
+    assert reasons(alter(fly(), gaps, hx_out_k=None)) == ["", "SENSOR_MISSING"]
 
 
 def of_pack_one(records: pl.DataFrame, signals: list[str]) -> pl.DataFrame:
@@ -120,11 +116,9 @@ def of_pack_one(records: pl.DataFrame, signals: list[str]) -> pl.DataFrame:
 
 @pytest.mark.parametrize("signals", [OWN_SIGNALS, *([s] for s in OWN_SIGNALS)], ids=lambda s: "all" if s[1:] else s[0])
 def test_shared_channel_is_reported(signals):
-    records = in_steps(fly(), "hx_out_k", 0.25)
+    channels = find_channels(of_pack_one(in_steps(fly(), "hx_out_k", 0.25), signals))
 
-    found = find_channels(of_pack_one(records, signals))
-
-    assert set(found.select("pack", "signal", "reason").rows()) == {
+    assert set(channels.select("pack", "signal", "reason").rows()) == {
         (pack, signal, "one_channel") for pack in (1, 2) for signal in signals
     }
 

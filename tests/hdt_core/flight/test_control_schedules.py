@@ -6,6 +6,7 @@ from datetime import timedelta
 import numpy as np
 import polars as pl
 import pytest
+from alter import alter
 from known_fleet import departure
 
 from hdt_core.flight.control_schedules import (
@@ -18,23 +19,36 @@ from hdt_core.flight.control_schedules import (
     speed_limit,
 )
 
+LAW = ControlSchedule((0.0, 10.0), {"": (0.0, 5.0), "A": (1.0, 3.0)}, {"": 0.0, "A": 2.0}, {"": 7.0, "A/1": 8.0})
 
-def test_schedule_is_read_between_knots():
+
+def test_knots_are_as_declared():
     assert tuple(228.0 + 8.0 * k for k in range(12)) == TAT_KNOTS_K
     assert tuple(4800.0 + 800.0 * k for k in range(13)) == ALTITUDE_KNOTS_M
-    law = ControlSchedule((0.0, 10.0), {"": (0.0, 5.0), "A": (1.0, 3.0)}, {"": 0.0, "A": 2.0}, {"": 7.0, "A/1": 8.0})
-    tails, x = np.array(["A", "B", "A", "A"]), np.array([5.0, 5.0, 20.0, np.nan])
-    assert law.column(tails, x, np.array([1.0, 1.0, 0.5, 0.0])).to_list() == [4.0, 2.5, 4.0, None]
-    assert law.column(tails[:2], x[:2]).to_list() == [2.0, 2.5]
+
+
+def test_schedule_is_read_between_knots():
+    """With its gain."""
+    tails = np.array(["A", "B", "A", "A"])
+    x = np.array([5.0, 5.0, 20.0, np.nan])
+    assert LAW.column(tails, x, np.array([1.0, 1.0, 0.5, 0.0])).to_list() == [4.0, 2.5, 4.0, None]
+    assert LAW.column(tails[:2], x[:2]).to_list() == [2.0, 2.5]
+
+
+def test_level_is_of_pack():
     packs = pl.DataFrame({"tail": ["A", "A", "B"], "pack": [1, 2, 1]})
-    assert law.level_column(packs).to_list() == [8.0, 7.0, 7.0]
+    assert LAW.level_column(packs).to_list() == [8.0, 7.0, 7.0]
+
+
+def test_schedule_without_shape_is_flat():
     assert ControlSchedule((0.0, 1.0), {}, {}).shape("A", np.array([0.5]), 1.0).tolist() == [0.0]
 
 
 def by_columns(x: np.ndarray, third: np.ndarray, y: np.ndarray, group: np.ndarray, knots: tuple) -> np.ndarray:
     """Heights at the knots, mean zero, and gain: hats, the third reading and a column for each group; second
     differences cost ten samples each; four rounds, three of them with Huber's weights at 1.5 deviations."""
-    n, groups = len(knots), np.unique(group)
+    n = len(knots)
+    groups = np.unique(group)
     hats = np.array([np.interp(x, knots, row) for row in np.eye(n)]).T
     design = np.column_stack([hats, third, *(group == g for g in groups)]).astype(float)
     bend = np.zeros((n - 2, design.shape[1]))
@@ -52,8 +66,10 @@ def by_columns(x: np.ndarray, third: np.ndarray, y: np.ndarray, group: np.ndarra
 
 def fleet(seed: int, flights: int = 30, tail: str = "A", samples: int = 10) -> pl.DataFrame:
     """Outlets that follow a bent schedule with a trim a flight, exit pressures with a pack's own level, some strays."""
-    rng, rows = np.random.default_rng(seed), flights * samples
-    tat, altitude = rng.uniform(232.0, 310.0, rows), rng.uniform(5000.0, 13_500.0, rows)
+    rng = np.random.default_rng(seed)
+    rows = flights * samples
+    tat = rng.uniform(232.0, 310.0, rows)
+    altitude = rng.uniform(5000.0, 13_500.0, rows)
     flow = rng.uniform(0.5, 0.9, rows)
     trim = np.repeat(rng.normal(0.0, 2.0, flights), samples)
     outlet = 296.0 + 0.6 * np.maximum(tat - 252.0, 0.0) + trim + rng.standard_t(2, rows) * 0.3
@@ -69,67 +85,104 @@ def fleet(seed: int, flights: int = 30, tail: str = "A", samples: int = 10) -> p
     )  # fmt: skip
 
 
-def test_schedules_are_least_squares():
-    samples = fleet(1)
-    learned = learn_schedules(samples)
-    x, y, flow = (samples[c].to_numpy() for c in ("tat_k", "hx_out_k", "pack_flow_kg_s"))
-    ids = samples["flight_id"].to_numpy()
-    outlet = by_columns(x, np.zeros(len(x)), y, ids, TAT_KNOTS_K)
+@pytest.fixture(scope="module")
+def samples() -> pl.DataFrame:
+    return fleet(1)
+
+
+@pytest.fixture(scope="module")
+def learned(samples) -> ControlSchedules:
+    return learn_schedules(samples)
+
+
+@pytest.fixture(scope="module")
+def delivery(samples) -> np.ndarray:
+    """The delivery's schedule by least squares."""
+    altitude, out_pa, flow = (samples[c].to_numpy() for c in ("altitude_m", "cc_out_pa", "pack_flow_kg_s"))
+    return by_columns(altitude, flow**2, np.log(out_pa), np.zeros(samples.height), ALTITUDE_KNOTS_M)
+
+
+def test_outlet_schedule_is_least_squares(samples, learned):
+    x, y, flight = (samples[c].to_numpy() for c in ("tat_k", "hx_out_k", "flight_id"))
+    outlet = by_columns(x, np.zeros(len(x)), y, flight, TAT_KNOTS_K)
     assert learned.outlet.shapes["A"] == pytest.approx(outlet[:-1], abs=1e-4)
-    altitude, exit_ln = samples["altitude_m"].to_numpy(), np.log(samples["cc_out_pa"].to_numpy())
-    one = np.zeros(len(x))
-    delivery = by_columns(altitude, flow**2, exit_ln, one, ALTITUDE_KNOTS_M)
+
+
+def test_delivery_schedule_is_least_squares(learned, delivery):
     assert learned.delivery.shapes["A"] == pytest.approx(delivery[:-1], abs=1e-5)
     assert learned.delivery.gains["A"] == pytest.approx(delivery[-1], abs=1e-5)
-    scheduled = np.interp(altitude, ALTITUDE_KNOTS_M, delivery[:-1]) + delivery[-1] * flow**2
-    assert learned.delivery.levels["A/1"] == pytest.approx(np.median(exit_ln - scheduled), abs=1e-5)
+
+
+def test_delivery_level_is_median(samples, learned, delivery):
+    scheduled = np.interp(samples["altitude_m"], ALTITUDE_KNOTS_M, delivery[:-1])
+    scheduled = scheduled + delivery[-1] * samples["pack_flow_kg_s"].to_numpy() ** 2
+    level = np.median(np.log(samples["cc_out_pa"].to_numpy()) - scheduled)
+    assert learned.delivery.levels["A/1"] == pytest.approx(level, abs=1e-5)
     assert learned.delivery.levels[""] == learned.delivery.levels["A/1"]
+
+
+def test_highest_speed_is_unmet_limit(samples, learned):
     assert learned.speed == SpeedLimit(np.sort(samples["cc_speed_rad_s"])[-11], at_limit=False)
+
+
+def test_schedules_survive_json(learned):
     assert ControlSchedules.from_dict(json.loads(json.dumps(learned.to_dict()))) == learned
 
 
-def test_speed_limit_shows_in_pressure():
+def test_speed_limit_shows_in_pressure(samples):
     fast = pl.int_range(pl.len()) < 30
-    samples = fleet(1).with_columns(
-        cc_speed_rad_s=pl.when(fast).then(4300.0).otherwise("cc_speed_rad_s"),
-        cc_out_pa=pl.col("cc_out_pa") * pl.when(fast).then(np.exp(-0.05)).otherwise(1.0),
-    )
-    assert learn_schedules(samples).speed == SpeedLimit(4300.0, at_limit=True)
-    counts, shares = (11, 20, 80, 400), (1.0, 1.0 - 0.0048, 1.0 - 0.0052, 0.9)
-    speed = 4300.0 * np.repeat(shares, counts)
+    limited = alter(samples, fast, cc_speed_rad_s=4300.0, cc_out_pa=pl.col("cc_out_pa") * np.exp(-0.05))
+    assert learn_schedules(limited).speed == SpeedLimit(4300.0, at_limit=True)
+
+
+def test_limit_spans_half_a_percent():
+    speed = 4300.0 * np.repeat((1.0, 1.0 - 0.0048, 1.0 - 0.0052, 0.9), (11, 20, 80, 400))
     short = np.where(speed > 4000.0, -0.05, 0.001 * np.sin(np.arange(speed.size)))
     assert speed_limit(speed, short) == SpeedLimit(4300.0 * (1.0 - 0.0048), at_limit=True)
 
 
-def test_own_law_needs_300_samples():
-    few = fleet(2, tail="B").head(299)
-    learned = learn_schedules(pl.concat([fleet(1), few]))
-    assert set(learned.outlet.shapes) == {"", "A"}
-    assert set(learn_schedules(pl.concat([fleet(1), fleet(2, tail="B")])).outlet.shapes) == {"", "A", "B"}
-    assert learned.outlet.shape("B", np.array([240.0])) == learned.outlet.shape("", np.array([240.0]))
-    assert {"A/1", "B/1", ""} == set(learned.outlet.levels)
-    samples = fleet(1)
-    assert set(learn_schedules(samples.head(23)).outlet.shapes[""]) == {0.0}
-    assert len(set(learn_schedules(samples.head(24)).outlet.shapes[""])) > 1
+@pytest.mark.parametrize(("n", "shapes"), [(299, {"", "A"}), (300, {"", "A", "B"})])
+def test_own_law_needs_300_samples(samples, n, shapes):
+    both = learn_schedules(pl.concat([samples, fleet(2, tail="B").head(n)]))
+    assert set(both.outlet.shapes) == shapes
+    assert set(both.outlet.levels) == {"A/1", "B/1", ""}
+
+
+def test_few_samples_take_common_law(samples):
+    outlet = learn_schedules(pl.concat([samples, fleet(2, tail="B").head(299)])).outlet
+    assert outlet.shape("B", np.array([240.0])) == outlet.shape("", np.array([240.0]))
+
+
+@pytest.mark.parametrize(("n", "is_flat"), [(23, True), (24, False)])
+def test_law_needs_two_samples_a_knot(samples, n, is_flat):
+    heights = set(learn_schedules(samples.head(n)).outlet.shapes[""])
+    assert (heights == {0.0}) == (len(heights) == 1) == is_flat
+
+
+def test_no_samples_have_no_levels(samples):
     assert learn_schedules(samples.clear()).outlet.levels == {}
 
 
-def test_schedules_learn_from_sixty_flights():
-    samples = fleet(3, flights=61, samples=5)
-    hot = pl.when(pl.col("flight_id") == "060").then(pl.col("hx_out_k") + pl.col("tat_k")).otherwise("hx_out_k")
-    assert learn_schedules(samples.with_columns(hot.alias("hx_out_k"))) == learn_schedules(samples)
-    last = pl.when(pl.col("flight_id") == "059").then(pl.col("hx_out_k") + pl.col("tat_k")).otherwise("hx_out_k")
-    assert learn_schedules(samples.with_columns(last.alias("hx_out_k"))) != learn_schedules(samples)
-    samples = fleet(1)
-    odd = samples.tail(40)
-    for changed in (
-        odd.with_columns(phase=pl.lit("climb")), odd.with_columns(pack_flow_kg_s=0.2), odd.with_columns(cc_out_pa=0.0)
-    ):  # fmt: skip
-        learned = learn_schedules(pl.concat([samples.head(260), changed])).delivery
-        assert learned == learn_schedules(samples.head(260)).delivery
+@pytest.mark.parametrize(("flight", "is_learned"), [("060", False), ("059", True)])
+def test_schedules_learn_from_sixty_flights(flight, is_learned):
+    long = fleet(3, flights=61, samples=5)
+    hot = alter(long, pl.col("flight_id") == flight, hx_out_k=pl.col("hx_out_k") + pl.col("tat_k"))
+    assert (learn_schedules(hot) != learn_schedules(long)) is is_learned
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"phase": pl.lit("climb")}, {"pack_flow_kg_s": 0.2}, {"cc_out_pa": 0.0}],
+    ids=["climb", "at rest", "no pressure"],
+)
+def test_delivery_learns_from_running_cruise(samples, change):
+    odd = pl.concat([samples.head(260), samples.tail(40).with_columns(**change)])
+    assert learn_schedules(odd).delivery == learn_schedules(samples.head(260)).delivery
+
+
+def test_unrecorded_speed_has_no_limit(samples, learned):
     without = learn_schedules(samples.with_columns(cc_speed_rad_s=pl.lit(None, pl.Float64)))
-    assert without.speed == SpeedLimit()
-    assert without.delivery == learn_schedules(samples).delivery
+    assert (without.speed, without.delivery) == (SpeedLimit(), learned.delivery)
 
 
 def test_ten_samples_give_no_schedule():
@@ -152,19 +205,28 @@ def near_the_limit(short: int, near: int, by_sd: float) -> SpeedLimit:
     return limit
 
 
-def test_speed_limit_needs_quarter_of_samples():
-    assert near_the_limit(5, 20, 4.01).at_limit
-    assert not near_the_limit(5, 20, 3.99).at_limit
-    assert not near_the_limit(4, 12, 4.01).at_limit
-    assert not near_the_limit(5, 21, 4.01).at_limit
+@pytest.mark.parametrize(
+    ("short", "near", "by_sd", "at_limit"),
+    [(5, 20, 4.01, True), (5, 20, 3.99, False), (4, 12, 4.01, False), (5, 21, 4.01, False)],
+)
+def test_speed_limit_needs_quarter_of_samples(short, near, by_sd, at_limit):
+    """And five, that lack four deviations about their median."""
+    assert near_the_limit(short, near, by_sd).at_limit is at_limit
+
+
+@pytest.mark.parametrize(("lack", "at_limit"), [(-0.2, True), (0.0, False)])
+def test_limit_is_eleventh_highest_speed(lack, at_limit):
     speed = np.concatenate([np.full(1000, 3000.0), [3979.9], np.full(25, 3990.0), np.full(16, 4000.0), [5000.0] * 10])
-    lack = np.concatenate([CALM, np.full(42, -0.2), np.zeros(10)])
-    assert speed_limit(speed, lack) == SpeedLimit(4000.0, at_limit=True)
-    assert speed_limit(speed, 0.0 * lack) == SpeedLimit(4000.0, at_limit=False)
-    speed, beyond = np.arange(1.0, 13.0), np.zeros(12)
-    assert speed_limit(speed, beyond) == SpeedLimit(2.0, at_limit=False)
-    assert speed_limit(speed[:11], beyond[:11]) == SpeedLimit(1.0, at_limit=False)
-    assert speed_limit(speed[:10], beyond[:10]) == SpeedLimit()
+    beyond = np.concatenate([CALM * bool(lack), np.full(42, lack), np.zeros(10)])
+    assert speed_limit(speed, beyond) == SpeedLimit(4000.0, at_limit=at_limit)
+
+
+@pytest.mark.parametrize(("n", "limit"), [(12, (2.0, False)), (11, (1.0, False)), (10, ())])
+def test_limit_needs_eleven_samples(n, limit):
+    assert speed_limit(np.arange(1.0, n + 1.0), np.zeros(n)) == SpeedLimit(*limit)
+
+
+def test_invalid_speeds_do_not_count():
     speed = np.concatenate([np.arange(1.0, 11.0), [0.0, np.nan, 50.0]])
     beyond = np.concatenate([np.zeros(12), [np.nan]])
     assert speed_limit(speed, beyond) == SpeedLimit()
