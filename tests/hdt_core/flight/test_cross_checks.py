@@ -29,10 +29,10 @@ def samples(pack: int, **changed: object) -> pl.DataFrame:
 
 
 def test_leg_checks_by_hand():
+    """The last sample is at rest (.2 kg/s); doors of .07 and .96 are at their ends."""
     two = samples(2, hx_out_k=[299.0, 299.0, 301.0, 302.0, 303.0, 303.0], ram_door_open=0.4, pack_flow_kg_s=0.75)
     law = ControlSchedule((240.0, 270.0), {"": (296.0, 311.0)}, {"": 0.0})
     row = leg_checks(pl.concat([samples(1), two]), law).row(by_predicate=pl.col("pack") == 1, named=True)
-    # the last sample is at rest (.2 kg/s); doors of .07 and .96 are at their ends
     by_law = [301.0 + 0.5 * (tat_k - 250.0) for tat_k in (265.0, 258.0, 250.0, 251.0)]
     flow = np.log([0.82, 0.84, 0.86])
     expected = {
@@ -44,9 +44,12 @@ def test_leg_checks_by_hand():
         "pack_flow_between_packs_ln": np.mean(flow) - np.log(0.75), "pack_flow_ln": np.mean(flow),
     }  # fmt: skip
     assert {name: row[name] for name in expected} == pytest.approx(expected)
-    none = leg_checks(samples(1, cc_in_pa=0.0, cc_flow_kg_s=-1.0), None).row(0, named=True)
+
+
+def test_impossible_readings_have_no_check():
+    none = leg_checks(samples(1, cc_in_pa=0.0, cc_flow_kg_s=-1.0), None)
     names = ("inlet_over_total_pressure_ln", "pack_over_compressor_flow_ln", "outlet_above_law_k")
-    assert [none[c] for c in names] == [None] * 3
+    assert none.select(names).row(0) == (None,) * 3
 
 
 @pytest.mark.parametrize(
@@ -62,30 +65,25 @@ def test_door_authority_ends_at_stops(door, flow, free):
 
 
 def test_outlet_schedule_uses_free_doors():
-    rng = np.random.default_rng(0)
-    tat = rng.uniform(230.0, 310.0, 60)
-    outlet = 200.0 + 0.4 * tat + 50.0 * (np.arange(60) >= 50)
-    door, flow = np.where(np.arange(60) < 55, 0.95, 0.96), np.where(np.arange(60) < 50, 0.21, 0.2)
+    """Of running packs."""
+    k = np.arange(60)
+    tat = np.random.default_rng(0).uniform(230.0, 310.0, 60)
     rows = pl.DataFrame({
-        "tail": "T", "flight_id": "F", "pack": 1, "tat_k": tat, "hx_out_k": outlet,
-        "ram_door_open": door, "pack_flow_kg_s": flow,
+        "tail": "T", "flight_id": "F", "pack": 1, "tat_k": tat, "hx_out_k": 200.0 + 0.4 * tat + 50.0 * (k >= 50),
+        "ram_door_open": np.where(k < 55, 0.95, 0.96), "pack_flow_kg_s": np.where(k < 50, 0.21, 0.2),
     })  # fmt: skip
     law = learn_outlet_schedule(rows)
-    at = np.array([240.0, 300.0])
-    assert np.diff(law.shape("T", at)) == pytest.approx(24.0, abs=0.01)
+    assert np.diff(law.shape("T", np.array([240.0, 300.0]))) == pytest.approx(24.0, abs=0.01)
     assert law == learn_outlet_schedule(rows.head(50))
 
 
-def checked(column: str, values: np.ndarray, other: np.ndarray | None = None, **more: np.ndarray) -> pl.DataFrame:
-    """Verdicts on sixty flights of one pack, and of the other where it is given."""
-    packs = [{"pack": 1, column: values} | more] + ([] if other is None else [{"pack": 2, column: other}])
+def judge(*packs: dict[str, object]) -> pl.DataFrame:
+    """Verdicts on sixty flights of packs with these checks."""
     key = {"operator": "TST", "tail": "T", "flight_id": [f"F{k:02d}" for k in range(N)]}
-    rows = pl.concat([pl.DataFrame(key | p) for p in packs], how="diagonal").cast({"pack": pl.Int32})
+    rows = pl.concat([pl.DataFrame(key | {"pack": n} | p) for n, p in enumerate(packs, 1)], how="diagonal")
+    rows = rows.cast({"pack": pl.Int32})
     legs = rows.select(*LEG, flight_number=pl.col("flight_id").str.slice(1).cast(pl.Int64))
     return check_sensors(rows, legs).join(legs, on=LEG).sort("pack", "flight_number")
-
-
-ALTERNATE = np.where(FLIGHT % 2 == 0, 1.0, -1.0)
 
 
 def test_tolerances_are_as_declared():
@@ -96,61 +94,67 @@ def test_tolerances_are_as_declared():
     }  # fmt: skip
 
 
+LATE = FLIGHT >= 40
+
+
 @pytest.mark.parametrize("check", TOLERANCE)
 @pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (1.0, False), (-1.01, True)])
 def test_lasting_shift_exceeds_tolerance(check, times, shifted):
-    late = FLIGHT >= 40
-    rows = checked(check, times * TOLERANCE[check] * late)
-    assert rows["sensor_shift"].to_list() == (late if shifted else late & False).tolist()
+    rows = judge({check: times * TOLERANCE[check] * LATE})
+    assert rows["sensor_shift"].to_list() == (LATE & shifted).tolist()
     assert set(rows["sensor_check"]) - {None} == ({check} if shifted else set())
-    assert rows[f"{check}_off"].to_list() == pytest.approx((times * TOLERANCE[check] * late).tolist())
+
+
+@pytest.mark.parametrize("check", TOLERANCE)
+@pytest.mark.parametrize("times", [1.01, 1.0, -1.01])
+def test_shift_is_stated_for_its_check(check, times):
+    shift = times * TOLERANCE[check] * LATE
+    rows = judge({check: shift})
+    assert rows[f"{check}_off"].to_list() == pytest.approx(shift.tolist())
     assert rows.select(f"{other}_off" for other in TOLERANCE if other != check).sum_horizontal().to_list() == [0.0] * N
 
 
 @pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (0.99, False)])
 def test_noisy_check_needs_four_deviations(times, shifted):
-    noise = np.tile([2.0, 0.0, -2.0], N // 3)  # medians of seven are 0, most steps 2
+    """Of the median of seven flights, which is 0; most steps are 2."""
+    noise = np.tile([2.0, 0.0, -2.0], N // 3)
     sd_k = 1.2533 * 1.4826 * 2.0 / (2.0 * 7.0) ** 0.5
-    flags = checked("inlet_minus_tat_k", noise + times * 4.0 * sd_k * (FLIGHT >= 50))["sensor_shift"].to_list()
+    flags = judge({"inlet_minus_tat_k": noise + times * 4.0 * sd_k * (FLIGHT >= 50)})["sensor_shift"].to_list()
     assert flags[53:57] == [shifted] * 4
     assert not any(flags[:45])
-    values = 2.0 * ALTERNATE
-    values[30] = times * 4.0 * 1.4826 * 2.0
-    rows = checked("inlet_apart_k", values)
-    assert rows["sensor_shift"][30] is shifted
+
+
+@pytest.mark.parametrize(("times", "shifted"), [(1.01, True), (0.99, False)])
+def test_noisy_flight_needs_four_deviations(times, shifted):
+    values = np.where(FLIGHT == 30, times * 4.0 * 1.4826 * 2.0, 2.0 * (-1.0) ** FLIGHT)
+    assert judge({"inlet_apart_k": values})["sensor_shift"][30] is shifted
 
 
 @pytest.mark.parametrize(("times", "shifted"), [(2.51, True), (2.49, False)])
 def test_large_shift_needs_one_flight(times, shifted):
     """Two and a half tolerances."""
-    rows = checked("inlet_apart_k", times * 2.5 * (FLIGHT == 30))
+    rows = judge({"inlet_apart_k": times * 2.5 * (FLIGHT == 30)})
     assert rows["sensor_shift"].to_list() == ((FLIGHT == 30) & shifted).tolist()
 
 
 def test_drift_is_flagged_from_start():
+    """From a quarter of the tolerance of .8 K: .2 K after 2.5 flights."""
     drift = np.clip(FLIGHT - 30, 0, 20) * 0.1 * 0.8
-    rows = checked("inlet_minus_tat_k", np.where(FLIGHT < 50, drift, 0.0))
-    first = rows.filter("sensor_shift")["flight_number"].min()
-    # a quarter of the tolerance of .8 K: .2 K after 2.5 flights
-    assert first == 33
+    rows = judge({"inlet_minus_tat_k": np.where(FLIGHT < 50, drift, 0.0)})
+    assert rows.filter("sensor_shift")["flight_number"].min() == 33
     assert rows["sensor_shift"][49]
-    late = 2.0 * (FLIGHT >= 40)
-    law = {"outlet_above_law_k": late}
-    rows = checked("outlet_between_packs_k", late, -late, **law)
-    assert rows.filter(pl.col("pack") == 1)["sensor_shift"].sum() == 20
-    other = rows.filter(pl.col("pack") == 2)["sensor_shift"].sum()
-    assert other == 20  # its own reading is not known, so it is not cleared
-    for share, cleared in ((0.49, True), (0.51, False)):
-        rows = two_packs(late, share)
-        assert (rows.filter(pl.col("pack") == 2)["sensor_shift"].sum() == 0) is cleared
-        assert rows.filter(pl.col("pack") == 1)["sensor_shift"].sum() == 20
 
 
-def two_packs(late: np.ndarray, share: float) -> pl.DataFrame:
-    """Pack 1 reads high; pack 2 is displaced from the law by a share of that."""
-    key = {"operator": "TST", "tail": "T", "flight_id": [f"F{k:02d}" for k in range(N)]}
-    one = pl.DataFrame(key | {"pack": 1, "outlet_between_packs_k": late, "outlet_above_law_k": late})
-    two = pl.DataFrame(key | {"pack": 2, "outlet_between_packs_k": -late, "outlet_above_law_k": share * late})
-    rows = pl.concat([one, two]).cast({"pack": pl.Int32})
-    legs = rows.select(*LEG, flight_number=pl.col("flight_id").str.slice(1).cast(pl.Int64))
-    return check_sensors(rows, legs).join(legs, on=LEG).sort("pack", "flight_number")
+@pytest.mark.parametrize(
+    ("of_second", "flagged"),
+    [
+        ({}, [20, 20]),  # its own reading is not known, so it is not cleared
+        ({"outlet_above_law_k": 0.49 * 2.0 * LATE}, [20, 0]), ({"outlet_above_law_k": 0.51 * 2.0 * LATE}, [20, 20]),
+    ],
+)  # fmt: skip
+def test_pack_near_law_is_cleared(of_second, flagged):
+    """Two outlets differ: pack 1 is off the fleet's law, pack 2 by a share of that."""
+    shift = 2.0 * LATE
+    one = {"outlet_between_packs_k": shift, "outlet_above_law_k": shift}
+    rows = judge(one, {"outlet_between_packs_k": -shift} | of_second)
+    assert [rows.filter(pack=pack)["sensor_shift"].sum() for pack in (1, 2)] == flagged

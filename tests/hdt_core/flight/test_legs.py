@@ -4,6 +4,7 @@ from datetime import UTC, datetime, timedelta
 
 import polars as pl
 import pytest
+from alter import alter
 
 from hdt_core.flight.legs import BLEED, REASONS, judge_legs, prepare_samples, reject_odd_bleed
 from hdt_core.records.keys import LEG
@@ -20,54 +21,65 @@ def one_tail(fleet):
 
 
 @pytest.fixture(scope="module")
-def legs_and_samples(one_tail):
+def judged(one_tail):
     return judge_legs(one_tail)
 
 
-def test_every_leg_is_judged_once(one_tail, legs_and_samples):
-    legs, _ = legs_and_samples
-    assert legs.select(LEG).sort(LEG).equals(one_tail.select(LEG).unique().sort(LEG))
-    assert set(legs["reason"]) <= {"", *REASONS}
-    assert (legs["admitted"] == (legs["reason"] == "")).all()
-    legs, samples = legs_and_samples
-    nominal = samples.filter("nominal").join(legs.select(*LEG, "admitted"), on=LEG)
-    assert nominal["monitored"].all()
-    assert nominal["admitted"].all()
-    assert set(nominal["phase"]) == {"cruise"}
+@pytest.fixture(scope="module")
+def tail_legs(judged) -> pl.DataFrame:
+    return judged[0]
+
+
+@pytest.fixture(scope="module")
+def tail_samples(judged) -> pl.DataFrame:
+    return judged[1]
+
+
+def test_every_leg_is_judged_once(one_tail, tail_legs):
+    assert tail_legs.select(LEG).sort(LEG).equals(one_tail.select(LEG).unique().sort(LEG))
+    assert set(tail_legs["reason"]) <= {"", *REASONS}
+    assert (tail_legs["admitted"] == (tail_legs["reason"] == "")).all()
+
+
+def test_nominal_samples_are_of_admitted_legs(tail_legs, tail_samples):
+    nominal = tail_samples.filter("nominal").join(tail_legs.select(*LEG, "admitted"), on=LEG)
     assert nominal.height > 100
-    both = legs.filter(pl.col("source") == "both")
-    assert both.height > 0
-    averaged = samples.filter(pl.col("source") == "cpl")
+    assert nominal.select(pl.col("monitored", "admitted").all()).row(0) == (True, True)
+    assert set(nominal["phase"]) == {"cruise"}
+
+
+def test_log_samples_are_averages(tail_legs, tail_samples):
+    averaged = tail_samples.filter(source="cpl")
+    assert tail_legs.filter(source="both").height > 0
     assert averaged["n_averaged"].is_between(45, 60).all()
     assert averaged["monitored"].any()
-    assert (samples.filter(pl.col("source") == "acms")["n_averaged"] == 1).all()
+    assert (tail_samples.filter(source="acms")["n_averaged"] == 1).all()
 
 
-def test_verdict_ignores_row_order(one_tail, legs_and_samples):
+def test_verdict_ignores_row_order(one_tail, tail_legs, tail_samples):
+    """And repeated rows."""
     shuffled = pl.concat([one_tail, one_tail.head(500)]).sample(fraction=1.0, shuffle=True, seed=5)
     legs, samples = judge_legs(shuffled)
-    assert legs.equals(legs_and_samples[0])
-    assert samples.height == legs_and_samples[1].height
-    flight = one_tail["flight_id"].unique().sort()[20]
-    alone, _ = judge_legs(one_tail.filter(pl.col("flight_id") == flight))
-    among = legs_and_samples[0].filter(pl.col("flight_id") == flight)
+    assert legs.equals(tail_legs)
+    assert samples.height == tail_samples.height
+
+
+def test_verdict_ignores_other_flights(one_tail, tail_legs):
+    one = pl.col("flight_id") == one_tail["flight_id"].unique().sort()[20]
     same = ["n_samples", "n_nominal", "departed_at", "reason"]
-    assert alone.select(same).equals(among.select(same))
+    assert judge_legs(one_tail.filter(one))[0].select(same).equals(tail_legs.filter(one).select(same))
+
+
+def test_no_samples_have_no_legs(one_tail):
     legs, samples = judge_legs(one_tail.clear())
-    assert legs.is_empty()
-    assert samples.is_empty()
+    assert (legs.height, samples.height) == (0, 0)
     assert {"admitted", "reason", "n_nominal", "cruise_minutes"} <= set(legs.columns)
-
-
-def _altered(rows: pl.DataFrame, pack: int, **new: pl.Expr) -> pl.DataFrame:
-    mine = (pl.col("pack") == pack) & (pl.col("source") == "acms")
-    return rows.with_columns(pl.when(mine).then(value).otherwise(name).alias(name) for name, value in new.items())
 
 
 @pytest.mark.parametrize(
     ("new", "reason"),
     [
-        ({"pack_flow_kg_s": pl.lit(0.7711)}, "SENSOR_FROZEN"),
+        ({"pack_flow_kg_s": 0.7711}, "SENSOR_FROZEN"),
         ({"hx_out_k": pl.when(pl.int_range(pl.len()) ** 3 % 31 > 9).then("hx_out_k")}, "SENSOR_MISSING"),
         ({"pack_flow_kg_s": 0.001 * pl.col("pack_flow_kg_s")}, "PACK_OFF"),
         ({"ram_door_open": 0.4 + 0.01 * (pl.col("ram_door_open") - 0.3)}, "DOOR_STILL"),
@@ -75,14 +87,12 @@ def _altered(rows: pl.DataFrame, pack: int, **new: pl.Expr) -> pl.DataFrame:
     ],
     ids=["frozen", "dropout", "pack off", "door still", "no cruise"],
 )
-def test_planted_fault_has_reason(one_tail, legs_and_samples, new, reason):
-    sound = legs_and_samples[0].filter(pl.col("admitted").all().over("flight_id") & (pl.col("source") == "acms"))
-    flight = sound["flight_id"][10]
-    sick = _altered(one_tail.filter(pl.col("flight_id") == flight), 2, **new)
-    rest = one_tail.filter(pl.col("flight_id") != flight)
-    legs, _ = judge_legs(pl.concat([rest, sick]))
-    mine = legs.filter((pl.col("flight_id") == flight) & (pl.col("pack") == 2))
-    assert mine["reason"].to_list() == [reason]
+def test_planted_fault_has_reason(one_tail, tail_legs, new, reason):
+    sound = tail_legs.filter(pl.col("admitted").all().over("flight_id") & (pl.col("source") == "acms"))
+    one = pl.col("flight_id") == sound["flight_id"][10]
+    sick = alter(one_tail.filter(one), (pl.col("pack") == 2) & (pl.col("source") == "acms"), **new)
+    legs, _ = judge_legs(pl.concat([one_tail.filter(~one), sick]))
+    assert legs.filter(one, pack=2)["reason"].to_list() == [reason]
 
 
 FLOWN = {
@@ -109,36 +119,52 @@ def reasons(*packs: pl.DataFrame) -> list[str]:
     return judge_legs(pl.concat(packs))[0].sort("pack")["reason"].to_list()
 
 
-def some(value: float, n: int, rest: float, rows: int = 12) -> list[float]:
+def some(value: float | None, n: int, rest: float, rows: int = 12) -> list[float | None]:
     return [value] * n + [rest] * (rows - n)
 
 
 def test_sound_cruise_is_admitted():
     legs, samples = judge_legs(leg())
-    row = legs.row(0, named=True)
-    assert (row["reason"], row["admitted"], row["source"]) == ("", True, "acms")
-    assert (row["n_samples"], row["n_snapshots"], row["n_monitored"], row["n_nominal"]) == (12, 12, 12, 12)
-    assert row["cruise_minutes"] == 33.0
+    figures = {
+        "reason": "", "admitted": True, "source": "acms", "n_samples": 12, "n_snapshots": 12, "n_monitored": 12,
+        "n_nominal": 12, "cruise_minutes": 33.0,
+    }  # fmt: skip
+    assert legs.select(*figures).to_dicts() == [figures]
     assert samples["nominal"].all()
-    for left, reason in ((2, ""), (1, "ICING")):
-        assert reasons(leg(altitude_m=6000.0, tat_k=some(270.0, 12 - left, 250.0))) == [reason]
-    for steady, reason in ((2, "NO_CRUISE"), (3, "")):
-        height = [9000.0 + 200.0 * k for k in range(12 - steady)] + [11_500.0] * steady
-        pa = {name: [42_000.0 - 700.0 * k for k in range(12)] for name in ("total_pressure_pa", "cc_in_pa")}
-        assert reasons(leg(altitude_m=height, **pa)) == [reason]
-    twice = pl.concat([leg(), leg()])
-    assert prepare_samples(twice).height == 12
-    assert prepare_samples(pl.concat([leg(rows=1), leg(2, rows=1)])).height == 2
-    holed = prepare_samples(leg(hx_out_k=[None] + [296.0] * 11))
-    assert holed["monitored"].to_list() == [False] + [True] * 11
-    assert prepare_samples(leg(vda_counts=None))["monitored"].all()
 
 
-@pytest.mark.parametrize(("flow", "reason"), [(0.1999, "PACK_OFF"), (0.2, "NO_CRUISE"), (0.21, "")])
-def test_pack_is_off_below_flow(flow, reason):
+@pytest.mark.parametrize(("left", "reason"), [(2, ""), (1, "ICING")])
+def test_leg_needs_two_nominal_samples(left, reason):
+    assert reasons(leg(altitude_m=6000.0, tat_k=some(270.0, 12 - left, 250.0))) == [reason]
+
+
+@pytest.mark.parametrize(("steady", "reason"), [(2, "NO_CRUISE"), (3, "")])
+def test_cruise_needs_three_level_samples(steady, reason):
+    height = [9000.0 + 200.0 * k for k in range(12 - steady)] + [11_500.0] * steady
+    pa = {name: [42_000.0 - 700.0 * k for k in range(12)] for name in ("total_pressure_pa", "cc_in_pa")}
+    assert reasons(leg(altitude_m=height, **pa)) == [reason]
+
+
+@pytest.mark.parametrize(("packs", "height"), [((leg(), leg()), 12), ((leg(rows=1), leg(2, rows=1)), 2)])
+def test_repeated_samples_count_once(packs, height):
+    assert prepare_samples(pl.concat(packs)).height == height
+
+
+@pytest.mark.parametrize(
+    ("readings", "monitored"),
+    [({"hx_out_k": [None] + [296.0] * 11}, [False] + [True] * 11), ({"vda_counts": None}, [True] * 12)],
+    ids=["outlet", "diffuser"],
+)
+def test_monitored_sample_needs_its_readings(readings, monitored):
+    assert prepare_samples(leg(**readings))["monitored"].to_list() == monitored
+
+
+@pytest.mark.parametrize(
+    ("flow", "codes"), [(0.1999, ["PACK_OFF", "OTHER_PACK_OFF"]), (0.2, ["", ""]), (0.21, ["", ""])]
+)
+def test_pack_is_off_below_flow(flow, codes):
     at_rest = [flow * (1.0 + 1e-7 * k) for k in range(12)]
-    codes = reasons(leg(pack_flow_kg_s=at_rest), leg(2))
-    assert codes == [reason if flow != 0.2 else "", "OTHER_PACK_OFF" if reason == "PACK_OFF" else ""]
+    assert reasons(leg(pack_flow_kg_s=at_rest), leg(2)) == codes
 
 
 def test_samples_in_icing_are_not_nominal():
@@ -148,23 +174,30 @@ def test_samples_in_icing_are_not_nominal():
 
 
 @pytest.mark.parametrize(
-    ("rows", "n", "missing"), [(24, 3, True), (20, 2, False), (26, 3, False), (25, 3, False), (17, 2, False)]
+    ("rows", "n", "reason"),
+    [(24, 3, "SENSOR_MISSING"), (20, 2, ""), (26, 3, ""), (25, 3, ""), (17, 2, "")],
 )
-def test_gap_limit_is_twelve_percent(rows, n, missing):
+def test_gap_limit_is_twelve_percent(rows, n, reason):
     """And three readings."""
-    gaps = [None] * n + [335.0] * (rows - n)
-    assert reasons(leg(rows=rows, ram_out_k=gaps)) == ["SENSOR_MISSING" if missing else ""]
-    assert reasons(leg(rows=rows, ram_out_k=None), leg(2, rows=rows, ram_out_k=None)) == ["", ""]
-    assert reasons(leg(rows=rows, ram_out_k=None), leg(2, rows=rows)) == ["SENSOR_MISSING", ""]
+    assert reasons(leg(rows=rows, ram_out_k=some(None, n, 335.0, rows))) == [reason]
+
+
+@pytest.mark.parametrize(("of_second", "codes"), [({"ram_out_k": None}, ["", ""]), ({}, ["SENSOR_MISSING", ""])])
+@pytest.mark.parametrize("rows", [17, 20, 24, 25, 26])
+def test_sensor_fitted_to_one_pack_is_missing(rows, of_second, codes):
+    assert reasons(leg(rows=rows, ram_out_k=None), leg(2, rows=rows, **of_second)) == codes
 
 
 @pytest.mark.parametrize(
-    ("tat_k", "altitude_m", "icing"),
-    [(268.15, 6699.0, 1), (268.14, 6699.0, 0), (283.15, 6699.0, 1), (283.16, 6699.0, 0), (270.0, 6700.0, 0)],
-)
-def test_icing_is_cold_air_below_fl220(tat_k, altitude_m, icing):
-    codes = reasons(leg(tat_k=tat_k, altitude_m=altitude_m))
-    assert codes == ["ICING" if icing else ""]
+    ("tat_k", "altitude_m", "reason"),
+    [
+        (268.15, 6699.0, "ICING"), (268.14, 6699.0, ""), (283.15, 6699.0, "ICING"), (283.16, 6699.0, ""),
+        (270.0, 6700.0, ""),
+    ],
+)  # fmt: skip
+def test_icing_is_cold_air_below_fl220(tat_k, altitude_m, reason):
+    """Cold and wet."""
+    assert reasons(leg(tat_k=tat_k, altitude_m=altitude_m)) == [reason]
 
 
 @pytest.mark.parametrize(
@@ -211,9 +244,11 @@ ODD = [{"bleed_2_open": False}, {"crossfeed_open": True}, {"pack_1_flow_kg_s": 0
 def test_odd_bleed_rejects_both_packs(legs, values):
     """An earlier reason stays."""
     rows = reject_odd_bleed(legs, reports(1.5, **values))
-    assert rows["reason"].to_list() == [BLEED, "ICING", "", "", "", ""]
-    assert rows["admitted"].to_list() == [False, False, True, True, True, True]
-    assert rows["n_nominal"].to_list() == [0, 7, 7, 7, 7, 7]
+    expected = {
+        "reason": [BLEED, "ICING", "", "", "", ""], "admitted": [False, False, True, True, True, True],
+        "n_nominal": [0, 7, 7, 7, 7, 7],
+    }  # fmt: skip
+    assert rows.select(*expected).to_dict(as_series=False) == expected
     assert rows.columns == legs.columns
 
 
@@ -243,5 +278,8 @@ def test_odd_bleed_limits(legs, values, hours, turned):
 def test_report_belongs_to_last_departure(legs):
     rows = reject_odd_bleed(legs, reports(6.0, crossfeed_open=True))
     assert rows.filter(reason=BLEED)["flight_id"].unique().to_list() == ["b"]
-    assert reject_odd_bleed(legs, reports(30.0, crossfeed_open=True)).equals(legs)
-    assert reject_odd_bleed(legs, reports(-1.0, crossfeed_open=True)).equals(legs)
+
+
+@pytest.mark.parametrize("hours", [30.0, -1.0])
+def test_report_outside_flights_rejects_nothing(legs, hours):
+    assert reject_odd_bleed(legs, reports(hours, crossfeed_open=True)).equals(legs)
