@@ -19,103 +19,138 @@ from hdt_core.flight.conductance_index import (
 )
 from hdt_core.records.keys import LEG
 
-FLIGHTS, EACH = 40, 8
+FLIGHTS = 40
+EACH = 8
 
 
 def flown(seed: int = 0) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Forty legs of eight samples whose outlet follows a law of the operating point, with a few strays."""
-    rng, n = np.random.default_rng(seed), FLIGHTS * EACH
-    flow, door, mach = rng.uniform(0.6, 0.9, n), rng.uniform(0.15, 0.7, n), rng.uniform(0.7, 0.86, n)
-    tat, total = rng.uniform(240.0, 265.0, n), rng.uniform(28e3, 42e3, n)
-    wear = np.repeat(0.002 * np.arange(FLIGHTS), EACH)
-    y = 0.9 - 0.6 * np.log(flow / 0.75) + 0.4 * np.log(door / 0.4) - wear + rng.standard_t(3, n) * 0.02
-    hot = np.full(n, 400.0)
-    out = (hot + np.exp(y) * tat) / (1.0 + np.exp(y))
-    flights = np.repeat([f"F{k:02d}" for k in range(FLIGHTS)], EACH)
-    key = {"operator": "TST", "tail": "T", "flight_id": flights, "pack": 1}
-    signals = {
-        "monitored": True, "hx_in_k": hot, "hx_out_k": out, "tat_k": tat, "pack_flow_kg_s": flow, "ram_door_open": door,
-        "total_pressure_pa": total, "mach": mach,
+    rng = np.random.default_rng(seed)
+    n = FLIGHTS * EACH
+    ranges = {
+        "pack_flow_kg_s": (0.6, 0.9), "ram_door_open": (0.15, 0.7), "mach": (0.7, 0.86), "tat_k": (240.0, 265.0),
+        "total_pressure_pa": (28e3, 42e3),
     }  # fmt: skip
-    samples = pl.DataFrame(key | signals).cast({"pack": pl.Int32})
+    s = {name: rng.uniform(*limits, n) for name, limits in ranges.items()}
+    wear = np.repeat(0.002 * np.arange(FLIGHTS), EACH)
+    y = 0.9 - 0.6 * np.log(s["pack_flow_kg_s"] / 0.75) + 0.4 * np.log(s["ram_door_open"] / 0.4)
+    y = y - wear + rng.standard_t(3, n) * 0.02
+    out = (400.0 + np.exp(y) * s["tat_k"]) / (1.0 + np.exp(y))
+    key = {"operator": "TST", "tail": "T", "flight_id": np.repeat([f"F{k:02d}" for k in range(FLIGHTS)], EACH)}
+    signals = key | {"pack": 1, "monitored": True, "hx_in_k": 400.0, "hx_out_k": out} | s
+    samples = pl.DataFrame(signals).cast({"pack": pl.Int32})
     legs = samples.select(LEG).unique(maintain_order=True).with_columns(flight_number=pl.int_range(pl.len()))
     return samples, legs
 
 
-def terms(s: dict[str, np.ndarray]) -> np.ndarray:
-    flow, door = np.log(s["pack_flow_kg_s"]), np.log(np.maximum(s["ram_door_open"], 0.02))
+def ratio_ln(samples: pl.DataFrame) -> np.ndarray:
+    hot, out, tat = (samples[name].to_numpy() for name in ("hx_in_k", "hx_out_k", "tat_k"))
+    return np.log((hot - out) / (out - tat))
+
+
+def terms(samples: pl.DataFrame) -> np.ndarray:
+    s = {name: samples[name].to_numpy() for name in samples.columns}
+    flow = np.log(s["pack_flow_kg_s"])
+    door = np.log(np.maximum(s["ram_door_open"], 0.02))
     density = np.log(s["total_pressure_pa"] / np.sqrt(s["tat_k"])) - 7.7
     speed = np.log(np.maximum(s["mach"], 0.2))
     return np.column_stack([flow, door, density, speed, door**2, door * density, flow * door])
 
 
-def columns(samples: pl.DataFrame) -> dict[str, np.ndarray]:
-    return {name: samples[name].to_numpy() for name in samples.columns}
-
-
-def test_manifold_is_huber_regression():
-    """With an offset for every ten flights."""
-    samples, legs = flown()
-    s = columns(samples)
-    x = terms(s)
-    y = np.log((s["hx_in_k"] - s["hx_out_k"]) / (s["hx_out_k"] - s["tat_k"]))
+@pytest.fixture(scope="module")
+def slopes() -> np.ndarray:
+    """Of Huber's regression with an offset for every ten flights."""
+    samples, _ = flown()
+    rows = np.column_stack([terms(samples), ratio_ln(samples)])
     block = np.repeat(np.arange(FLIGHTS) // 10, EACH)
-    centred = [np.column_stack([x, y])[block == b] for b in range(4)]
-    off = np.concatenate([rows - np.median(rows, axis=0) for rows in centred])
-    slopes, weight = np.zeros(7), np.ones(len(y))
+    off = np.concatenate([rows[block == b] - np.median(rows[block == b], axis=0) for b in range(4)])
+    weight = np.ones(len(rows))
     for _ in range(12):
-        normal = off[:, :7].T @ (weight[:, None] * off[:, :7]) + 1e-6 * len(y) * np.eye(7)
+        normal = off[:, :7].T @ (weight[:, None] * off[:, :7]) + 1e-6 * len(rows) * np.eye(7)
         slopes = np.linalg.solve(normal, off[:, :7].T @ (weight * off[:, 7]))
         miss = np.abs(off[:, 7] - off[:, :7] @ slopes)
         weight = np.minimum(1.0, 1.345 * 1.4826 * np.median(miss) / np.maximum(miss, 1e-12))
-    law = learn_manifold(samples, legs)
-    assert law.centre == pytest.approx(np.median(x, axis=0).tolist())
-    assert law.slopes == pytest.approx(slopes.tolist(), rel=1e-6)
-    index = (y - (x - np.median(x, axis=0)) @ slopes).reshape(FLIGHTS, EACH)
-    assert law.noise == pytest.approx(1.4826 * np.median(np.abs(np.diff(index, axis=1))) / np.sqrt(2.0), rel=1e-6)
-    computed = add_conductance_index(samples, law)["conductance_index"].to_numpy()
-    assert computed == pytest.approx(index.ravel())
+    return slopes
 
 
-def test_manifold_needs_ten_samples_per_term():
+def test_manifold_is_huber_regression(slopes):
     samples, legs = flown()
-    assert learn_manifold(samples.head(70), legs) is None
-    assert learn_manifold(samples.head(71), legs) is not None
-    calm = samples.with_columns(hx_out_k=pl.lit(300.0), tat_k=pl.lit(250.0))
-    assert learn_manifold(calm, legs).noise == 0.01
-    samples = flown()[0].head(1).with_columns(hx_in_k=pl.lit(400.0), tat_k=pl.lit(250.0))
-    for out, is_valid in ((394.9, True), (395.0, False), (255.1, True), (255.0, False)):
-        index = add_conductance_index(samples.with_columns(hx_out_k=pl.lit(out)), LAW)["conductance_index"][0]
-        assert index == (pytest.approx(np.log((400.0 - out) / (out - 250.0))) if is_valid else None)
-    off = samples.with_columns(monitored=pl.lit(False))
-    assert add_conductance_index(off, LAW)["conductance_index"].to_list() == [None]
-    low = samples.with_columns(ram_door_open=pl.lit(0.001), mach=pl.lit(0.1))
-    shut, slow = (Manifold((0.0,) * 7, tuple(float(k == i) for k in range(7)), 0.02) for i in (1, 3))
-    y = add_conductance_index(low, LAW)["conductance_index"][0]
-    assert add_conductance_index(low, shut)["conductance_index"][0] == pytest.approx(y - np.log(0.02))
-    assert add_conductance_index(low, slow)["conductance_index"][0] == pytest.approx(y - np.log(0.2))
+    law = learn_manifold(samples, legs)
+    assert law.centre == pytest.approx(np.median(terms(samples), axis=0).tolist())
+    assert law.slopes == pytest.approx(slopes.tolist(), rel=1e-6)
+
+
+def test_index_is_ratio_off_manifold(slopes):
+    samples, legs = flown()
+    law = learn_manifold(samples, legs)
+    x = terms(samples)
+    index = ratio_ln(samples) - (x - np.median(x, axis=0)) @ slopes
+    steps = np.diff(index.reshape(FLIGHTS, EACH), axis=1)
+    assert law.noise == pytest.approx(1.4826 * np.median(np.abs(steps)) / np.sqrt(2.0), rel=1e-6)
+    assert add_conductance_index(samples, law)["conductance_index"].to_numpy() == pytest.approx(index)
 
 
 LAW = Manifold((0.0,) * len(TERMS), (0.0,) * len(TERMS), 0.02)
 """The index is the ratio's logarithm itself."""
 
 
-def test_unrest_is_largest_running_mean(monkeypatch):
+@pytest.mark.parametrize(("n", "is_learned"), [(70, False), (71, True)])
+def test_manifold_needs_ten_samples_per_term(n, is_learned):
+    samples, legs = flown()
+    assert (learn_manifold(samples.head(n), legs) is not None) is is_learned
+
+
+def test_calm_record_has_least_noise():
+    samples, legs = flown()
+    calm = samples.with_columns(hx_out_k=pl.lit(300.0), tat_k=pl.lit(250.0))
+    assert learn_manifold(calm, legs).noise == 0.01
+
+
+def index_of(law: Manifold = LAW, **changed: object) -> float | None:
+    """Index of one sample whose streams differ by 150 K."""
+    sample = flown()[0].head(1).with_columns(hx_in_k=pl.lit(400.0), tat_k=pl.lit(250.0))
+    return add_conductance_index(sample.with_columns(**changed), law)["conductance_index"][0]
+
+
+@pytest.mark.parametrize(("out", "is_valid"), [(394.9, True), (395.0, False), (255.1, True), (255.0, False)])
+def test_index_needs_five_kelvin(out, is_valid):
+    expected = pytest.approx(np.log((400.0 - out) / (out - 250.0))) if is_valid else None
+    assert index_of(hx_out_k=out) == expected
+
+
+def test_unmonitored_sample_has_no_index():
+    assert index_of(hx_out_k=255.1, monitored=False) is None
+
+
+@pytest.mark.parametrize(("term", "least"), [(1, 0.02), (3, 0.2)], ids=["door", "speed"])
+def test_small_readings_are_bounded(term, least):
+    low = {"ram_door_open": 0.001, "mach": 0.1}
+    along = Manifold((0.0,) * 7, tuple(float(k == term) for k in range(7)), 0.02)
+    assert index_of(along, **low) == pytest.approx(index_of(**low) - np.log(least))
+
+
+def test_unrest_is_largest_running_mean():
+    """In standard errors, over two to six samples."""
     samples = flown(3)[0].head(2 * EACH)
     result = leg_conductance(samples, LAW).sort("flight_id")
-    s = columns(samples)
-    index = np.log((s["hx_in_k"] - s["hx_out_k"]) / (s["hx_out_k"] - s["tat_k"])).reshape(2, EACH)
-    for row, own in zip(result.rows(named=True), index, strict=True):
-        off = own - np.median(own)
-        means = [abs(off[i : i + m].mean()) * np.sqrt(m) for m in (2, 3, 4, 6) for i in range(EACH - m + 1)]
-        assert (row["index_level"], row["index_n"]) == (pytest.approx(np.median(own)), EACH)
-        assert row["index_unrest"] == pytest.approx(max(means) / 0.02)
+    index = ratio_ln(samples).reshape(2, EACH)
+    level = np.median(index, axis=1)
+    unrest = [
+        max(abs(off[i : i + m].mean()) * np.sqrt(m) for m in (2, 3, 4, 6) for i in range(EACH - m + 1)) / 0.02
+        for off in index - level[:, None]
+    ]
+    assert result["index_level"].to_list() == pytest.approx(level.tolist())
+    assert result["index_n"].to_list() == [EACH] * 2
+    assert result["index_unrest"].to_list() == pytest.approx(unrest)
+
+
+def test_unrest_spans_nine_samples(monkeypatch):
     index = np.zeros(40)
     index[20:29] = 0.1
     rows = pl.DataFrame({"operator": "TST", "tail": "T", "flight_id": "F", "pack": 1, "conductance_index": index})
     monkeypatch.setattr(conductance_index, "add_conductance_index", lambda samples, _: samples)
-    law = Manifold((), (), 0.02)
-    assert leg_conductance(rows, law)["index_unrest"].to_list() == pytest.approx([0.1 * 3.0 / 0.02])  # sqrt(9) = 3
+    unrest = leg_conductance(rows, Manifold((), (), 0.02))["index_unrest"]
+    assert unrest.to_list() == pytest.approx([0.1 * 3.0 / 0.02])  # sqrt(9) = 3
 
 
 N = 50
@@ -146,12 +181,16 @@ def test_worn_is_below_clean_level(drop, worn):
     assert rows["worn"].to_list() == ((FLIGHT >= 20) & worn).tolist()
 
 
-def test_clean_level_is_upper_decile():
-    few = np.where(FLIGHT < 6, 1.2, 1.0)  # above the decile on six flights of fifty
-    assert judge_levels(few)["worn"].sum() == N - 6
-    assert judge_levels(np.where(FLIGHT < 4, 1.2, 1.0))["worn"].sum() == 0
-    assert judge_levels(np.full(N, 0.809), IndexLevel(clean=1.0))["worn"].all()
-    assert not judge_levels(np.full(N, 0.811), IndexLevel(clean=1.0))["worn"].any()
+@pytest.mark.parametrize(("above", "n_worn"), [(6, N - 6), (4, 0)])
+def test_clean_level_is_upper_decile(above, n_worn):
+    """Of fifty flights so many lie above it."""
+    assert judge_levels(np.where(above > FLIGHT, 1.2, 1.0))["worn"].sum() == n_worn
+
+
+@pytest.mark.parametrize(("level", "worn"), [(0.809, True), (0.811, False)])
+def test_clean_level_is_near_fleets(level, worn):
+    """No lower than the fleet's less two deviations."""
+    assert judge_levels(np.full(N, level), IndexLevel(clean=1.0))["worn"].to_list() == [worn] * N
 
 
 @pytest.mark.parametrize(("unrest", "restless"), [(6.51, True), (6.5, False)])
@@ -172,16 +211,37 @@ def test_stray_leaves_neighbours(off, usual, stray):
     assert rows["index_off"][25] == pytest.approx(off)
 
 
-def test_stray_is_off_running_median():
-    level = np.random.default_rng(1).normal(1.0, 0.02, N)
-    smooth = [np.median(level[max(0, k - 3) : k + 4]) for k in FLIGHT]
+@pytest.fixture(scope="module")
+def level() -> np.ndarray:
+    return np.random.default_rng(1).normal(1.0, 0.02, N)
+
+
+@pytest.fixture(scope="module")
+def smooth(level) -> np.ndarray:
+    """Medians of seven flights."""
+    return np.array([np.median(level[max(0, k - 3) : k + 4]) for k in FLIGHT])
+
+
+def test_stray_is_off_running_median(level, smooth):
     assert judge_levels(level)["index_off"].to_list() == pytest.approx((level - smooth).tolist())
+
+
+def test_lone_flight_is_no_stray(level):
+    lone = judge_conductance(levels(level).head(1), NO_LOG, UNKNOWN)
+    assert lone["index_off"].to_list() == [None]
+
+
+def test_fleet_level_is_learned(level, smooth):
     learned = learn_level(levels(level), NO_LOG)
     assert learned.stray == pytest.approx(np.median(np.abs(level - smooth)))
     assert learned.clean == pytest.approx(np.sort(smooth)[round(0.9 * (N - 1))])
+
+
+def test_no_flights_have_unknown_level(level):
     assert learn_level(levels(level).clear(), NO_LOG) == IndexLevel()
-    lone = judge_conductance(levels(level).head(1), NO_LOG, UNKNOWN)
-    assert lone["index_off"].to_list() == [None]
+
+
+def test_outliers_exceed_chi_square_quantile():
     edge = np.sqrt(chi2.ppf(0.9995, 2))
     scatter = Scatter(("a", "b"), (1.0, 0.0), ((4.0, 0.0), (0.0, 1.0)))
     a = [1.0 + 0.5 * 1.001 * edge, 1.0 + 0.5 * 0.999 * edge, 1.0]
@@ -189,19 +249,32 @@ def test_stray_is_off_running_median():
     assert scatter.flag_outliers(rows).to_list() == [True, False, True]
 
 
-def test_scatter_needs_200_moving_legs():
-    rng = np.random.default_rng(0)
-    rows = pl.DataFrame({"a": rng.normal(2.0, 0.1, 400), "b": np.where(np.arange(400) < 201, 0.0, 1.0)})
-    learned = learn_scatter(rows, ["a", "b"])
+@pytest.fixture(scope="module")
+def residuals() -> pl.DataFrame:
+    """Of four hundred legs, one of which hardly moves."""
+    a = np.random.default_rng(0).normal(2.0, 0.1, 400)
+    return pl.DataFrame({"a": a, "b": np.where(np.arange(400) < 201, 0.0, 1.0)})
+
+
+def test_scatter_is_of_moving_residuals(residuals):
+    learned = learn_scatter(residuals, ["a", "b"])
     assert learned.columns == ("a",)
     assert learned.mean[0] == pytest.approx(2.0, abs=0.03)
     assert learned.precision[0][0] == pytest.approx(100.0, rel=0.25)
-    moving = rows.with_columns(b=pl.Series(np.where(np.arange(400) < 199, 0.0, rng.normal(size=400))))
-    assert learn_scatter(moving, ["a", "b"]).columns == ("a", "b")
-    half = rows.with_columns(b=pl.Series(np.where(np.arange(400) < 200, 0.0, rng.normal(size=400))))
-    assert learn_scatter(half, ["a", "b"]).columns == ("a",)
-    gaps = rows.with_columns(b=pl.when(pl.col("b") > 0.0).then("a"))
+
+
+@pytest.mark.parametrize(("n_still", "columns"), [(199, ("a", "b")), (200, ("a",))])
+def test_moving_residual_is_mostly_nonzero(residuals, n_still, columns):
+    """Zero on fewer than half of the legs."""
+    b = np.where(np.arange(400) < n_still, 0.0, np.random.default_rng(1).normal(size=400))
+    assert learn_scatter(residuals.with_columns(b=pl.Series(b)), ["a", "b"]).columns == columns
+
+
+def test_residual_with_gaps_is_left_out(residuals):
+    gaps = residuals.with_columns(b=pl.when(pl.col("b") > 0.0).then("a"))
     assert learn_scatter(gaps, ["a", "b"]).columns == ("a",)
-    assert learn_scatter(rows.head(199), ["a"]) is None
-    assert learn_scatter(rows.head(200), ["a"]) is not None
-    assert learn_scatter(rows.clear(), ["a"]) is None
+
+
+@pytest.mark.parametrize(("n", "is_learned"), [(0, False), (199, False), (200, True)])
+def test_scatter_needs_200_legs(residuals, n, is_learned):
+    assert (learn_scatter(residuals.head(n), ["a"]) is not None) is is_learned
