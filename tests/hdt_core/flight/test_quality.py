@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import polars as pl
 import pytest
+from alter import alter
 
 from hdt_core.flight.samples import FROZEN_RISE_M, NOISY, SIGNALS, null_bad_values
 
@@ -35,17 +36,25 @@ def recorded(n: int = 40, seed: int = 1) -> pl.DataFrame:
     return pl.concat(packs)
 
 
+def screen(rows: pl.DataFrame) -> pl.DataFrame:
+    return null_bad_values(rows, by=BY)
+
+
 def test_sound_record_passes():
-    screened = null_bad_values(recorded(), by=BY)
+    screened = screen(recorded())
     assert screened.select(SIGNALS).equals(recorded().select(SIGNALS))
     assert screened.select(pl.sum_horizontal("n_out_of_range", "n_spikes", "n_frozen").sum()).item() == 0
+
+
+def test_lasting_step_is_no_spike():
     late = pl.col("time_utc").rank("dense") > 20
-    stepped = recorded().with_columns(
-        pl.when(late).then(pl.col("hx_out_k") + 25.0).otherwise("hx_out_k").alias("hx_out_k")
-    )
-    assert null_bad_values(stepped, by=BY)["hx_out_k"].null_count() == 0
+    stepped = alter(recorded(), late, hx_out_k=pl.col("hx_out_k") + 25.0)
+    assert screen(stepped)["hx_out_k"].null_count() == 0
+
+
+def test_empty_column_is_in_range():
     without = recorded().with_columns(pl.lit(None, pl.Float64).alias("ram_out_k"))
-    assert null_bad_values(without, by=BY)["n_out_of_range"].sum() == 0
+    assert screen(without)["n_out_of_range"].sum() == 0
 
 
 PAPER = """
@@ -59,13 +68,11 @@ LINES = (line.split() for line in PAPER.replace("\n", " ").split(","))
 LIMIT = {name: tuple(map(float, limits)) for name, *limits in LINES}
 
 
-def read(signal: str, values: dict[int, float], **more: object) -> pl.DataFrame:
+def read(signal: str, values: dict[int, float]) -> pl.DataFrame:
     """A record whose signal reads some values in some rows."""
-    row = pl.int_range(pl.len())
-    changed = pl.col(signal)
-    for k, value in values.items():
-        changed = pl.when(row == k).then(value).otherwise(changed)
-    return null_bad_values(recorded().with_columns(changed.alias(signal)), by=BY)
+    rows = recorded()
+    column = rows[signal].scatter(list(values), list(values.values()))
+    return screen(rows.with_columns(column))
 
 
 @pytest.mark.parametrize("signal", LIMIT)
@@ -80,45 +87,53 @@ def test_values_beyond_limits_are_nulled(signal):
             assert screened[signal][60] is None
 
 
-@pytest.mark.parametrize("signal", LIMIT)
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_spike_leaves_both_neighbours(signal, sign):
+def spikes(signal: str, shape: dict[int, float]) -> list[int]:
+    """Spikes in rows 60 and 61 of a calm signal that leaves its middle by so many allowed jumps."""
     low, high, jump = LIMIT[signal]
-    level = 0.5 * (low + high)
-    for times, spike in ((1.001, 1), (0.999, 0)):
-        around = dict.fromkeys(range(55, 66), level) | {60: level + sign * times * jump}
-        assert read(signal, around)["n_spikes"][60] == spike
-    steps = dict.fromkeys(range(55, 60), level) | dict.fromkeys(range(60, 66), level + sign * 1.5 * jump)
-    assert read(signal, steps)["n_spikes"][60] == 0
-    pair = dict.fromkeys(range(55, 66), level) | dict.fromkeys((60, 61), level + sign * 1.5 * jump)
-    assert read(signal, pair)["n_spikes"][60:62].to_list() == [0, 0]  # two samples agree
+    readings = {k: 0.5 * (low + high) + jump * shape.get(k, 0.0) for k in range(55, 66)}
+    return read(signal, readings)["n_spikes"][60:62].to_list()
+
+
+@pytest.mark.parametrize("signal", LIMIT)
+@pytest.mark.parametrize("times", [-1.001, -0.999, 0.999, 1.001])
+def test_spike_leaves_both_neighbours(signal, times):
+    """By more than a sound sensor can."""
+    assert spikes(signal, {60: times}) == [int(abs(times) > 1.0), 0]
+
+
+@pytest.mark.parametrize("signal", LIMIT)
+@pytest.mark.parametrize("times", [-1.5, 1.5])
+@pytest.mark.parametrize("rows", [range(60, 66), range(60, 62)], ids=["step", "two samples agree"])
+def test_lasting_jump_is_no_spike(signal, times, rows):
+    assert spikes(signal, dict.fromkeys(rows, times)) == [0, 0]
 
 
 @pytest.mark.parametrize("signal", NOISY)
-def test_repeated_noisy_reading_is_frozen(signal):
+@pytest.mark.parametrize(
+    ("n", "share", "every_s", "frozen"),
+    [(6, 0.051, 180, True), (5, 0.051, 180, False), (6, 0.05, 180, False), (6, 0.3, 24, True), (6, 0.3, 23, False)],
+)
+def test_repeated_noisy_reading_is_frozen(signal, n, share, every_s, frozen):
     """Six times over two minutes."""
     high = LIMIT[signal][1]
-    for n, level, every_s, frozen in (
-        (6, 0.051 * high, 180, True), (5, 0.051 * high, 180, False), (6, 0.05 * high, 180, False),
-        (6, 0.3 * high, 24, True), (6, 0.3 * high, 23, False),
-    ):  # fmt: skip
-        same = pl.when(pl.int_range(pl.len()).is_between(50, 49 + n)).then(level)
-        same = same.otherwise(0.3 * high + 1e-3 * pl.col(signal))
-        row = pl.int_range(pl.len()).over("pack")
-        later = datetime(2024, 3, 1, tzinfo=UTC) + row * timedelta(seconds=every_s)
-        slow = recorded().with_columns(same.alias(signal), time_utc=later)
-        assert (null_bad_values(slow, by=BY)["n_frozen"].sum() == n) is frozen
+    later = datetime(2024, 3, 1, tzinfo=UTC) + pl.int_range(pl.len()).over("pack") * timedelta(seconds=every_s)
+    calm = recorded().with_columns(0.3 * high + 1e-3 * pl.col(signal), time_utc=later)
+    stuck = alter(calm, pl.int_range(pl.len()).is_between(50, 49 + n), **{signal: share * high})
+    assert (screen(stuck)["n_frozen"].sum() == n) is frozen
 
 
 @pytest.mark.parametrize("signal", FROZEN_RISE_M)
-def test_frozen_air_reading_ignores_altitude(signal):
-    most_m = 1000.0 if signal.endswith("_pa") else 6000.0
-    assert FROZEN_RISE_M[signal] == most_m
-    row = (pl.int_range(pl.len()) - 60).clip(0, 9)
-    for rise_m, n in ((most_m, 0), (most_m + 1.0, 10)):
-        value = pl.when(pl.int_range(pl.len()).is_between(60, 69)).then(CRUISE[signal]).otherwise(signal)
-        falling = recorded().with_columns(altitude_m=10_000.0 - rise_m * row / 9.0, **{signal: value})
-        assert null_bad_values(falling, by=BY)["n_frozen"].sum() == n
+def test_frozen_limit_is_as_declared(signal):
+    assert FROZEN_RISE_M[signal] == (1000.0 if signal.endswith("_pa") else 6000.0)
+
+
+@pytest.mark.parametrize("signal", FROZEN_RISE_M)
+@pytest.mark.parametrize(("beyond_m", "n"), [(0.0, 0), (1.0, 10)])
+def test_frozen_air_reading_ignores_altitude(signal, beyond_m, n):
+    rise_m = FROZEN_RISE_M[signal] + beyond_m
+    falling = recorded().with_columns(altitude_m=10_000.0 - rise_m * (pl.int_range(pl.len()) - 60).clip(0, 9) / 9.0)
+    stuck = alter(falling, pl.int_range(pl.len()).is_between(60, 69), **{signal: CRUISE[signal]})
+    assert screen(stuck)["n_frozen"].sum() == n
 
 
 @pytest.mark.parametrize("sign", [-8.0, 8.0])
