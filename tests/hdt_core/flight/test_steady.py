@@ -30,15 +30,23 @@ def log(drift: dict[str, float], seed: int = 4) -> pl.DataFrame:
     )
 
 
+def average(rows: pl.DataFrame) -> pl.DataFrame:
+    return average_log(rows, by=("tail",))
+
+
 def test_average_is_mean_of_minute():
-    averaged = average_log(log({}), by=("tail",))
+    averaged = average(log({}))
+    expected = log({}).select(SIGNALS).to_numpy().reshape(10, 60, -1).mean(axis=1)
     assert averaged["n_averaged"].to_list() == [60] * 10
-    assert averaged["steady"].all()
-    for signal in SIGNALS:
-        expected = log({})[signal].to_numpy().reshape(10, 60).mean(axis=1)
-        np.testing.assert_allclose(averaged[signal].to_numpy(), expected, rtol=1e-12)
-    slow = {s: 0.2 * rate for s, (rate, _) in DRIVERS.items()}
-    assert average_log(log(slow), by=("tail",))["steady"].all()
+    np.testing.assert_allclose(averaged.select(SIGNALS).to_numpy(), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("times", [0.0, 0.2])
+def test_slow_drift_is_steady(times):
+    assert average(log({s: times * rate for s, (rate, _) in DRIVERS.items()}))["steady"].all()
+
+
+def test_harmful_drifts_are_as_declared():
     assert DRIVERS == {
         "altitude_m": (1.524, 5.0), "mach": (4.0e-4, 1.5e-3), "tat_k": (0.03, 0.35), "hx_in_k": (0.08, 0.6),
         "pack_flow_kg_s": (1.5e-3, 0.012), "ram_door_open": (2.0e-3, 0.012),
@@ -47,48 +55,66 @@ def test_average_is_mean_of_minute():
 
 @pytest.mark.parametrize("signal", DRIVERS)
 def test_drifting_minute_is_unsteady(signal):
-    assert not average_log(log({signal: 4.0 * DRIVERS[signal][0]}), by=("tail",))["steady"].any()
+    assert not average(log({signal: 4.0 * DRIVERS[signal][0]}))["steady"].any()
+
+
+@pytest.mark.parametrize("signal", DRIVERS)
+@pytest.mark.parametrize("every_s", [60.9, 600.9])
+@pytest.mark.parametrize(("times", "steady"), [(0.999, True), (1.001, False)])
+def test_snapshot_is_steady_by_nearer_neighbour(signal, every_s, times, steady):
     rate, noise = DRIVERS[signal]
-    most = max(rate * 60.0, 4.0 * 2.0**0.5 * noise)
-    for every_s in (60.9, 600.9):
-        most = max(rate * every_s, 4.0 * 2.0**0.5 * noise)
-        for times, steady in ((0.999, True), (1.001, False)):
-            assert frozen_flags(signal, [0.0, times * most, 3.0 * most], every_s)[1] is steady
-            assert frozen_flags(signal, [0.0, -times * most, -9.0 * most], every_s)[1] is steady
-            assert frozen_flags(signal, [9.0 * most, 0.0, times * most], every_s)[1] is steady
+    most = max(rate * every_s, 4.0 * 2.0**0.5 * noise)
+    for shape in ([0.0, times, 3.0], [0.0, -times, -9.0], [9.0, 0.0, times]):
+        assert steady_flags(signal, [most * value for value in shape], every_s)[1] is steady
 
 
 @pytest.mark.parametrize(("seconds", "averaged"), [(45, 1), (44, 0)])
 def test_minute_needs_45_seconds(seconds, averaged):
-    assert average_log(log({}).head(seconds), by=("tail",)).height == averaged
+    assert average(log({}).head(seconds)).height == averaged
 
 
-def test_signal_needs_half_its_minute():
-    at = pl.int_range(pl.len())
-    for n, has_value in ((31, True), (30, False)):
-        half = log({}).head(60).with_columns(mach=pl.when(at < n).then("mach"), level=at != 3, n_spikes=pl.lit(2))
-        row = average_log(half, by=("tail",)).row(0, named=True)
-        assert (row["mach"] is not None) is has_value
-        assert (row["level"], row["n_spikes"], row["n_averaged"]) == (False, 120, 60)
-    assert frozen_flags("mach", [0.0, 0.5], 60, phase=["climb", "cruise"]) == [True, True]
-    assert frozen_flags("mach", [0.0, 0.0], 60, level=[False, True]) == [False, True]
+@pytest.mark.parametrize(("n", "has_value"), [(31, True), (30, False)])
+def test_signal_needs_half_its_minute(n, has_value):
+    half = log({}).head(60).with_columns(mach=pl.when(pl.int_range(pl.len()) < n).then("mach"))
+    assert (average(half)["mach"][0] is not None) is has_value
 
 
-def test_drift_is_significant_harmful_slope():
+def test_minute_counts_its_seconds():
+    minute = log({}).head(60).with_columns(level=pl.int_range(pl.len()) != 3, n_spikes=pl.lit(2))
+    assert average(minute).select("level", "n_spikes", "n_averaged").rows() == [(False, 120, 60)]
+
+
+@pytest.mark.parametrize(
+    ("values", "columns", "steady"),
+    [([0.0, 0.5], {"phase": ["climb", "cruise"]}, [True, True]), ([0.0, 0.0], {"level": [False, True]}, [False, True])],
+    ids=["phase", "level"],
+)
+def test_neighbour_is_of_own_phase(values, columns, steady):
+    """And only level flight is steady."""
+    assert steady_flags("mach", values, 60, **columns) == steady
+
+
+SECOND = np.arange(10.0)
+
+
+@pytest.mark.parametrize(
+    ("t", "times", "free"), [(4.05, 1.01, False), (3.95, 1.01, True), (4.05, 0.99, True), (-4.05, 1.01, False)]
+)
+def test_drift_is_significant_harmful_slope(t, times, free):
     """Student's t of the line through ten readings, 4 at most, or a drift below what does harm."""
-    second, rng = np.arange(10.0), np.random.default_rng(1)
-    noise = rng.normal(size=10)
-    noise -= np.polyval(np.polyfit(second, noise, 1), second)
-    sd = np.sqrt((noise**2).sum() / 8.0 / ((second - 4.5) ** 2).sum())
-    for t, times, free in ((4.05, 1.01, False), (3.95, 1.01, True), (4.05, 0.99, True), (-4.05, 1.01, False)):
-        slope = t * sd
-        rows = pl.DataFrame({"s": second, "x": noise + slope * second})
-        assert rows.select(drift_free(pl.col("s"), "x", abs(slope) / times)).item() is free
-    gap = pl.DataFrame({"s": second, "x": [None] * 10}, schema_overrides={"x": pl.Float64})
+    noise = np.random.default_rng(1).normal(size=10)
+    noise -= np.polyval(np.polyfit(SECOND, noise, 1), SECOND)
+    slope = t * np.sqrt((noise**2).sum() / 8.0 / ((SECOND - 4.5) ** 2).sum())
+    rows = pl.DataFrame({"s": SECOND, "x": noise + slope * SECOND})
+    assert rows.select(drift_free(pl.col("s"), "x", abs(slope) / times)).item() is free
+
+
+def test_empty_signal_has_no_drift():
+    gap = pl.DataFrame({"s": SECOND, "x": [None] * 10}, schema_overrides={"x": pl.Float64})
     assert gap.select(drift_free(pl.col("s"), "x", 1.0)).item() is True
 
 
-def frozen_flags(signal: str, values: list[float], every_s: float, **more: object) -> list[bool]:
+def steady_flags(signal: str, values: list[float], every_s: float, **more: object) -> list[bool]:
     start = datetime(2024, 3, 1, tzinfo=UTC)
     rows = {
         "tail": "A", "time_utc": [start + timedelta(seconds=every_s * k) for k in range(len(values))], "level": True,
@@ -118,75 +144,88 @@ def warned(code: str) -> pl.DataFrame:
     return pl.DataFrame({"operator": ["AQX"], "tail": "A", "message_time": at, "pack": 1, "code": code})
 
 
-NO_WORK, NO_MESSAGE = worked("HX").clear(), warned("21-52-HXTEMP").clear()
+NO_WORK = worked("HX").clear()
+NO_MESSAGE = warned("21-52-HXTEMP").clear()
+
+
+def flights_near(work: pl.DataFrame = NO_WORK, message: pl.DataFrame = NO_MESSAGE) -> list[int]:
+    """Numbers of the flights near maintenance or a message."""
+    flagged = flag_windows(legs(), work, message)
+    return flagged.filter(pl.col("near_maintenance") | pl.col("near_message"))["flight_number"].to_list()
+
+
+def window(about: int, reach: tuple[int, int]) -> list[int]:
+    before, after = reach
+    return list(range(about - before, about + after + 1))
+
+
+@pytest.mark.parametrize("component", AROUND_MAINTENANCE)
+def test_maintenance_window_is_as_declared(component):
+    """Flight 29 left on the 30th of March, the last before the entry."""
+    assert flights_near(worked(component)) == window(29, AROUND_MAINTENANCE[component])
 
 
 @pytest.mark.parametrize("component", AROUND_MAINTENANCE)
 def test_maintenance_window_is_of_pack(component):
     flagged = flag_windows(legs(), worked(component), NO_MESSAGE).filter("near_maintenance")
-    before, after = AROUND_MAINTENANCE[component]
     assert flagged.select("tail", "pack").unique().rows() == [("A", 2)]
-    # flight 29 left on the 30th of March, the last before the entry
-    assert flagged["flight_number"].to_list() == list(range(29 - before, 29 + after + 1))
 
 
 def test_window_opens_at_time_of_work():
     """The flight of six o'clock had left when the work was done at noon."""
     noon = worked("HX").with_columns(done_at=pl.lit(datetime(2024, 3, 31, 12, tzinfo=UTC)))
-    flagged = flag_windows(legs(), noon, NO_MESSAGE).filter("near_maintenance")
-    before, after = AROUND_MAINTENANCE["HX"]
-    assert flagged["flight_number"].to_list() == list(range(30 - before, 30 + after + 1))
+    assert flights_near(noon) == window(30, AROUND_MAINTENANCE["HX"])
+
+
+def test_packs_share_flight_numbers():
     counts = legs().group_by("tail", "departed_at").agg(pl.col("flight_number").n_unique())
     assert set(counts["flight_number"]) == {1}
-    assert not flag_windows(legs(), NO_WORK, warned("21-61-TRIM"))["near_message"].any()
+
+
+def test_other_message_opens_no_window():
+    assert flights_near(message=warned("21-61-TRIM")) == []
 
 
 @pytest.mark.parametrize("action", ["INSPECTED", "CLEANED"])
 def test_other_work_opens_no_window(action):
-    assert not flag_windows(legs(), worked("HX", action), NO_MESSAGE)["near_maintenance"].any()
+    assert flights_near(worked("HX", action)) == []
 
 
 @pytest.mark.parametrize("code", ["21-52-HXTEMP", "21-51-CCFLOW"])
 def test_message_opens_window(code):
-    flagged = flag_windows(legs(), NO_WORK, warned(code)).filter("near_message")
-    before, after = AROUND_MESSAGE[code[:5]]
-    assert flagged["flight_number"].to_list() == list(range(30 - before, 30 + after + 1))
+    """Of exchanger or compressor."""
+    assert flights_near(message=warned(code)) == window(30, AROUND_MESSAGE[code[:5]])
 
 
 @pytest.mark.parametrize("on", [date(2023, 1, 1), date(2025, 1, 1)])
 def test_entry_outside_record_flags_nothing(on):
     flagged = flag_windows(legs(), worked("HX", on=on), NO_MESSAGE)
-    assert flagged.height == legs().height
-    assert flagged["near_maintenance"].sum() == 0
+    assert (flagged.height, flagged["near_maintenance"].sum()) == (legs().height, 0)
 
 
 def test_windows_are_as_declared():
     assert AROUND_MAINTENANCE["RAM_DOOR"] == AROUND_MAINTENANCE["SENSOR"] == (15, 1)
     assert AROUND_MESSAGE == {"21-52": (10, 5), "21-51": (10, 5)}
-    first = legs(400).filter(pl.col("tail") == "A", pl.col("pack") == 1)
+
+
+@pytest.mark.parametrize(
+    ("n_flights", "reached"),
+    [(9, 9), (10, 10), (19, 10), (20, 20), (40, 40), (79, 40), (80, 80), (159, 80), (400, 160)],
+)
+def test_baseline_grows_by_milestones(n_flights, reached):
+    first = legs(n_flights).filter(tail="A", pack=1)
     first = first.with_columns(flight_id=pl.col("flight_number").cast(pl.String).str.zfill(3))
-    for n_flights, reached in (
-        (9, 9),
-        (10, 10),
-        (19, 10),
-        (20, 20),
-        (40, 40),
-        (79, 40),
-        (80, 80),
-        (159, 80),
-        (400, 160),
-    ):
-        assert baseline_flights(first.head(n_flights).reverse()) == [f"{k:03d}" for k in range(reached)]
+    assert baseline_flights(first.reverse()) == [f"{k:03d}" for k in range(reached)]
 
 
 @pytest.mark.parametrize(("days", "reached"), [(21, True), (22, False)])
 def test_entry_reaches_back_three_weeks(days, reached):
-    late = worked("HX", on=(START + timedelta(days=59 + days)).date())
-    assert flag_windows(legs(), late, NO_MESSAGE)["near_maintenance"].any() == reached
+    assert bool(flights_near(worked("HX", on=(START + timedelta(days=59 + days)).date()))) == reached
 
 
 HXT = components()["HXT"]
-MORNING, MINUTE = datetime(2024, 3, 1, 6, tzinfo=UTC), timedelta(minutes=1)
+MORNING = datetime(2024, 3, 1, 6, tzinfo=UTC)
+MINUTE = timedelta(minutes=1)
 FLOWN = {"hot_in_k": 400.0, "hot_out_k": 300.0, "tat_k": 250.0, "altitude_m": 10_000.0, "mach": 0.8, "fan_rad_s": 300.0}
 
 
@@ -208,22 +247,48 @@ def leg(component=HXT, **changed: object) -> dict[str, object]:
     return component_legs(component_samples(signals(**changed), component), component).row(0, named=True)
 
 
-def test_leg_needs_its_channels():
+def test_leg_of_six_samples_is_admitted():
+    facts = {"reason": "", "component": "HXT", "n_samples": 6, "n_nominal": 6, "departed_at": MORNING}
     row = leg()
-    assert (row["reason"], row["component"], row["n_samples"], row["n_nominal"]) == ("", "HXT", 6, 6)
-    assert row["departed_at"] == MORNING
+    assert {name: row[name] for name in facts} == facts
+
+
+def test_samples_are_of_own_component():
+    """In one column a channel, whether recorded or not."""
     wide = component_samples(pl.concat([signals(), signals(code="OTHER", mach=0.1)]), HXT)
     assert wide["mach"].to_list() == [0.8] * 6
     assert wide["ram_exit_open"].null_count() == 6
-    assert leg(hot_out_k=None)["reason"] == "NOT_RECORDED"
-    assert leg(fan_rad_s=None)["reason"] == ""
-    assert leg(hot_out_k=[300.0] + [None] * 5)["reason"] == "FEW_SAMPLES"
-    needed = tuple(replace(c, needed=c.needed or c.signal == "fan_rad_s") for c in HXT.record.channels)
-    unit = replace(HXT, record=replace(HXT.record, channels=needed))
-    assert leg(unit, fan_rad_s=None)["reason"] == ""  # the model has all it takes
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"hot_out_k": None}, "NOT_RECORDED"), ({"fan_rad_s": None}, ""),
+        ({"hot_out_k": [300.0] + [None] * 5}, "FEW_SAMPLES"),
+    ],
+)  # fmt: skip
+def test_leg_needs_its_channels(changed, reason):
+    assert leg(**changed)["reason"] == reason
+
+
+def with_channel(signal: str, **changed: object):
+    """The component where a channel of its record is declared otherwise."""
+    channels = (replace(c, **changed) if c.signal == signal else c for c in HXT.record.channels)
+    return replace(HXT, record=replace(HXT.record, channels=tuple(channels)))
+
+
+def test_model_needs_no_other_channel():
+    """Though it is declared as needed."""
+    assert leg(with_channel("fan_rad_s", needed=True), fan_rad_s=None)["reason"] == ""
+
+
+def test_legs_are_ordered_by_departure():
     later = signals().with_columns(flight_id=pl.lit("A"), time_utc=pl.col("time_utc") + timedelta(hours=9))
     wide = component_samples(pl.concat([later, signals()]), HXT)
     assert component_legs(wide, HXT)["flight_id"].to_list() == ["F", "A"]
+
+
+def test_component_without_record_is_an_error():
     with pytest.raises(ValueError, match="HX has no record"):
         component_samples(signals(), components()["HX"])
 
@@ -237,7 +302,5 @@ def test_leg_needs_five_nominal_samples(slow, reason):
 @pytest.mark.parametrize(("harmful", "reason"), [(0.009, "UNSTEADY"), (0.011, "")])
 def test_drifting_signal_is_unsteady(harmful, reason):
     """A kelvin every hundred seconds."""
-    drifting = [replace(c, harmful_per_s=harmful) if c.signal == "tat_k" else c for c in HXT.record.channels]
-    unit = replace(HXT, record=replace(HXT.record, channels=tuple(drifting)))
     tat = [250.0 + 0.6 * k + 0.001 * (k % 2) for k in range(6)]
-    assert leg(unit, tat_k=tat)["reason"] == reason
+    assert leg(with_channel("tat_k", harmful_per_s=harmful), tat_k=tat)["reason"] == reason
