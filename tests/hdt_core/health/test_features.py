@@ -39,8 +39,15 @@ def legs_of(long: pl.DataFrame) -> pl.DataFrame:
     return long.select("operator", "tail", "flight_id", "pack", "departed_at", pl.lit(True).alias("admitted"))
 
 
-def described(long: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
-    return features(long, NO_RESIDUALS, legs_of(long), maintenance)
+def describe(loss: np.ndarray, maintenance: pl.DataFrame) -> pl.DataFrame:
+    """Features of a pack that loses so much."""
+    return describe_track(health(loss), maintenance)
+
+
+def describe_track(
+    long: pl.DataFrame, maintenance: pl.DataFrame, means: pl.DataFrame = NO_RESIDUALS, **more: pl.DataFrame
+) -> pl.DataFrame:
+    return features(long, means, legs_of(long), maintenance, **more)
 
 
 @pytest.fixture
@@ -50,26 +57,29 @@ def replaced(nothing_done) -> pl.DataFrame:
     return pl.concat([nothing_done, pl.DataFrame([entry], schema=nothing_done.schema)])
 
 
-def test_slopes_are_least_squares(nothing_done) -> None:
+@pytest.mark.parametrize("n", [10, 30, 100])
+def test_slopes_are_least_squares(nothing_done, n) -> None:
     loss = np.cumsum(np.random.default_rng(0).normal(0.001, 0.004, 120))
-    out = described(health(loss), nothing_done)
-    for n in (10, 30, 100):
-        expected = np.polyfit(np.arange(n), loss[-n:], 1)[0]
-        assert out[f"hx_fouling_slope_{n}_per_flight"][-1] == pytest.approx(expected, rel=1e-6)
+    slope = describe(loss, nothing_done)[f"hx_fouling_slope_{n}_per_flight"][-1]
+    assert slope == pytest.approx(np.polyfit(np.arange(n), loss[-n:], 1)[0], rel=1e-6)
+
+
+def test_slope_spans_gaps(nothing_done) -> None:
     loss = 0.0001 * np.arange(6000.0)
     loss[5990::3] = np.nan
-    out = described(health(loss), nothing_done)
-    assert out["hx_fouling_slope_10_per_flight"][-1] == pytest.approx(1e-4, rel=1e-6)
-    slope = described(health(0.001 * np.arange(6.0)), nothing_done)["hx_fouling_slope_10_per_flight"]
-    assert slope.to_list()[:3] == [None] * 3
-    assert slope.to_list()[3:] == pytest.approx([0.001] * 3)
+    assert describe(loss, nothing_done)["hx_fouling_slope_10_per_flight"][-1] == pytest.approx(1e-4, rel=1e-6)
+
+
+def test_slope_needs_four_values(nothing_done) -> None:
+    slope = describe(0.001 * np.arange(6.0), nothing_done)["hx_fouling_slope_10_per_flight"].to_list()
+    assert slope == [None] * 3 + [pytest.approx(0.001)] * 3
 
 
 def test_recovery_restarts_trend(nothing_done) -> None:
     """Though no log tells of it."""
     loss = 0.001 * np.arange(100.0) - 0.06 * (np.arange(100) >= 60)
 
-    last = described(health(loss), nothing_done).row(-1, named=True)
+    last = describe(loss, nothing_done).row(-1, named=True)
 
     assert last["hx_fouling_slope_100_per_flight"] == pytest.approx(0.001, rel=1e-6)
     assert last["flights_since_drop"] == 100 - 60 - DROP_FLIGHTS
@@ -79,9 +89,7 @@ def test_recovery_restarts_trend(nothing_done) -> None:
 def test_noise_is_no_drop(nothing_done, fall, flights) -> None:
     loss = 0.2 - fall * (np.arange(100) >= 60)
 
-    last = described(health(loss), nothing_done).row(-1, named=True)
-
-    assert last["flights_since_drop"] == flights
+    assert describe(loss, nothing_done)["flights_since_drop"][-1] == flights
 
 
 def late_step(loss: np.ndarray, k: int) -> float:
@@ -92,28 +100,41 @@ def late_step(loss: np.ndarray, k: int) -> float:
     return float(step - 8.0 * min(max(slope, 0.0), 0.004))
 
 
-@pytest.mark.parametrize("rate", [-0.003, 0.002, 0.006])
-def test_steps_by_hand(nothing_done, rate) -> None:
-    loss = rate * np.arange(60.0) + np.random.default_rng(3).normal(0.0, 0.01, 60) + 0.1 * (np.arange(60) >= 45)
-    out = described(health(loss), nothing_done)
-    step, jump = out["hx_fouling_step_3"].to_list(), out["hx_fouling_jump_10"].to_list()
-    assert step[:6] == [None] * 6  # four flights before the last three
-    assert step[6:] == pytest.approx([late_step(loss, k) for k in range(6, 60)], abs=1e-9)
+@pytest.fixture(params=[-0.003, 0.002, 0.006])
+def stepped(request) -> np.ndarray:
+    """A loss with a trend, noise and a step."""
+    noise = np.random.default_rng(3).normal(0.0, 0.01, 60)
+    return request.param * np.arange(60.0) + noise + 0.1 * (np.arange(60) >= 45)
+
+
+def test_steps_by_hand(nothing_done, stepped) -> None:
+    """From four flights before the last three on."""
+    step = describe(stepped, nothing_done)["hx_fouling_step_3"].to_list()
+    assert step[:6] == [None] * 6
+    assert step[6:] == pytest.approx([late_step(stepped, k) for k in range(6, 60)], abs=1e-9)
+
+
+def test_jumps_by_hand(nothing_done, stepped) -> None:
+    jump = describe(stepped, nothing_done)["hx_fouling_jump_10"].to_list()
     assert jump[:10] == [None] * 10
-    assert jump[10:] == pytest.approx((loss[10:] - loss[:-10]).tolist())
+    assert jump[10:] == pytest.approx((stepped[10:] - stepped[:-10]).tolist())
 
 
 def test_step_needs_two_of_three_flights(nothing_done) -> None:
     loss = np.full(12, 0.1)
     loss[[8, 10, 11]] = np.nan
-    step = described(health(loss), nothing_done)["hx_fouling_step_3"].to_list()
-    assert step[9] is not None
-    assert step[10] is None
-    long, loss = health(np.full(20, 0.1)), np.where(np.arange(20) >= 18, 0.3, 0.1)
+    step = describe(loss, nothing_done)["hx_fouling_step_3"]
+    assert step.is_null()[9:11].to_list() == [False, True]
+
+
+@pytest.mark.parametrize(("name", "share"), [("hx_fouling_step_3", 1.0), ("ram_flow_loss_step_3", 0.5)])
+def test_single_flights_step_first(nothing_done, name, share) -> None:
+    """The track lags behind flights estimated alone."""
+    long = health(np.full(20, 0.1))
+    loss = np.where(np.arange(20) >= 18, 0.3, 0.1)
     alone = twin_rows(long).with_columns(ln_ua_ratio=np.log(1.0 - loss), ln_ram_ratio=np.log(1.0 - 0.5 * loss))
-    out = features(long, NO_RESIDUALS, legs_of(long), nothing_done, twin_flights=alone)
-    assert out["hx_fouling_step_3"].to_list()[-3:] == pytest.approx([0.0, 0.0, 0.2])
-    assert out["ram_flow_loss_step_3"].to_list()[-3:] == pytest.approx([0.0, 0.0, 0.1])
+    out = describe_track(long, nothing_done, twin_flights=alone)
+    assert out[name].to_list()[-3:] == pytest.approx([0.0, 0.0, 0.2 * share])
 
 
 TWIN = {
@@ -146,74 +167,96 @@ def test_virtual_sensors_by_hand() -> None:
             "w_hx_in_over_discharge_k": 1.5, "w_hx_in_over_pressure_k": None, "w_conductance_off_cruise_ln": 0.07,
         }
     )  # fmt: skip
+
+
+def test_virtual_sensors_without_discharge() -> None:
+    """Nor any sample."""
     silent = twin_rows(health(np.zeros(1))).with_columns(efficiency=pl.lit(None, pl.Float64), n_samples=pl.lit(0.0))
     row = virtual_sensors(silent).row(0, named=True)
     assert (row["w_hx_in_over_discharge_k"], row["w_hx_in_over_pressure_k"]) == (None, 1.5)
     assert row["effectiveness_sd"] == pytest.approx(np.hypot(NOISE_SD["hx_out_k"], BIAS_SD["hx_out_k"]) / 150.0)
 
 
-def test_features_compare_packs(nothing_done) -> None:
+@pytest.fixture(scope="module")
+def two_packs(nothing_done) -> pl.DataFrame:
+    """Features of two packs that flew thrice and lost a fifth and a twentieth."""
     long = pl.concat([health(np.full(3, 0.2)), health(np.full(3, 0.05), pack=2)])
-    checks = (
-        legs_of(long)
-        .drop("admitted", "departed_at")
-        .with_columns(
-            flight_hours=pl.lit(2.5), door_median=0.1 * pl.col("pack"), door_max=pl.lit(0.7), hx_fouling=pl.lit(9.0)
-        )
-    )
-    out = features(long, NO_RESIDUALS, legs_of(long), nothing_done, cross_checks=checks)
-    assert out["usage_hours"].to_list() == [2.5, 5.0, 7.5] * 2
-    assert out["ram_door_margin"].to_list() == pytest.approx([0.3] * 6)
-    assert out["ram_door_open_cruise"].to_list() == pytest.approx([0.1] * 3 + [0.2] * 3)
-    assert out["door_median_between_packs"].to_list() == pytest.approx([-0.1] * 3 + [0.1] * 3)
-    assert out["hx_fouling_between_packs"].to_list() == pytest.approx([0.15] * 3 + [-0.15] * 3)
-    assert out["flight_index"].to_list() == [0, 1, 2] * 2
-    assert out["flights_seen_of_unit"].to_list() == [0, 1, 2] * 2
-    assert not [name for name in out.columns if name.startswith("other_") or name.endswith("_life")]
+    checks = legs_of(long).drop("admitted", "departed_at").with_columns(
+        flight_hours=pl.lit(2.5), door_median=0.1 * pl.col("pack"), door_max=pl.lit(0.7), hx_fouling=pl.lit(9.0)
+    )  # fmt: skip
+    return describe_track(long, nothing_done, cross_checks=checks)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("usage_hours", [2.5, 5.0, 7.5] * 2), ("ram_door_margin", [0.3] * 6),
+        ("ram_door_open_cruise", [0.1] * 3 + [0.2] * 3), ("door_median_between_packs", [-0.1] * 3 + [0.1] * 3),
+        ("hx_fouling_between_packs", [0.15] * 3 + [-0.15] * 3), ("flight_index", [0, 1, 2] * 2),
+        ("flights_seen_of_unit", [0, 1, 2] * 2),
+    ],
+)  # fmt: skip
+def test_usage_features_by_hand(two_packs, name, values) -> None:
+    assert two_packs[name].to_list() == pytest.approx(values)
+
+
+def test_helper_columns_are_dropped(two_packs) -> None:
+    assert not [name for name in two_packs.columns if name.startswith("other_") or name.endswith("_life")]
 
 
 def test_residual_means_have_names(nothing_done) -> None:
     long = health(np.zeros(1))
     row = long.select("operator", "tail", "flight_id", "pack").row(0, named=True)
-    means = (("hx_out_k", "sensor_minus_dsm", 3.0), ("hx_out_k", "d", 5.0), ("x", "d", 4.0))
-    rows = [row | {"signal": s, "kind": k, "mean": m} for s, k, m in means]
+    values = (("hx_out_k", "sensor_minus_dsm", 3.0), ("hx_out_k", "d", 5.0), ("x", "d", 4.0))
+    rows = [row | {"signal": s, "kind": k, "mean": m} for s, k, m in values]
     means = pl.DataFrame(rows, schema_overrides={"pack": pl.Int32})
-    out = features(long, means, legs_of(long), nothing_done)
-    assert out.select("hx_out_sensor_minus_dsm_k", "hx_out_excess_k", "x_d").row(0) == (3.0, 3.0, 4.0)
-    assert out["hx_out_d_k"].to_list() == [5.0]
+    names = ("hx_out_sensor_minus_dsm_k", "hx_out_excess_k", "x_d", "hx_out_d_k")
+    assert describe_track(long, nothing_done, means).select(names).rows() == [(3.0, 3.0, 4.0, 5.0)]
+
+
+def test_row_order_changes_no_feature(nothing_done) -> None:
     loss = np.cumsum(np.random.default_rng(2).normal(0.001, 0.004, 40))
-    alone = described(health(loss), nothing_done)
     both = pl.concat([health(loss[::-1].copy(), tail="T-AAB"), health(loss)]).sample(fraction=1.0, shuffle=True, seed=1)
-    assert_frame_equal(described(both, nothing_done).filter(pl.col("tail") == "T-AAA"), alone)
-    empty = health(np.zeros(1)).clear()
-    assert described(empty, nothing_done).height == 0
+    shuffled = describe_track(both, nothing_done).filter(pl.col("tail") == "T-AAA")
+    assert_frame_equal(shuffled, describe(loss, nothing_done))
+
+
+def test_no_flights_have_no_features(nothing_done) -> None:
+    assert describe_track(health(np.zeros(1)).clear(), nothing_done).height == 0
 
 
 def test_new_unit_starts_new_life(replaced) -> None:
-    loss = np.where(np.arange(90) < 45, 0.3, 0.0) + 0.001 * np.arange(90)
-    out = described(health(loss), replaced)
-    day = out["departed_at"].dt.date()
-    assert out.filter(day <= date(2024, 3, 15))["flights_since_replacement"].null_count() == 45
-    assert out.filter(day > date(2024, 3, 15))["flights_since_replacement"].to_list() == list(range(45))
-    # no slope reaches back over the replacement
-    assert out["hx_fouling_slope_100_per_flight"][-1] == pytest.approx(0.001, rel=1e-6)
     rows = legs_of(health(np.zeros(60)))
     out = since_maintenance(rows.with_columns(pl.lit(0).alias("flight_index")), replaced)
     assert out["hx_life"].to_list() == [0] * 45 + [1] * 15
+
+
+@pytest.fixture
+def renewed(replaced) -> pl.DataFrame:
+    """Features of a pack whose unit was replaced after forty-five flights."""
+    return describe(np.where(np.arange(90) < 45, 0.3, 0.0) + 0.001 * np.arange(90), replaced)
+
+
+def test_age_counts_from_replacement(renewed) -> None:
+    assert renewed["flights_since_replacement"].to_list() == [None] * 45 + list(range(45))
+
+
+def test_slope_ends_at_replacement(renewed) -> None:
+    assert renewed["hx_fouling_slope_100_per_flight"][-1] == pytest.approx(0.001, rel=1e-6)
+
+
+def test_features_ignore_later_flights(replaced) -> None:
     loss = np.cumsum(np.random.default_rng(1).normal(0.002, 0.005, 90))
     long = pl.concat([health(loss), health(loss[::-1].copy(), pack=2)])
-    whole = described(long, replaced)
-    early = whole["departed_at"] < START + timedelta(days=20)
-    part = described(long.filter(pl.col("departed_at") < START + timedelta(days=20)), replaced)
+    early = pl.col("departed_at") < START + timedelta(days=20)
+    whole, part = (describe_track(rows, replaced) for rows in (long, long.filter(early)))
     assert_frame_equal(whole.filter(early), part, check_exact=False, rel_tol=1e-9, abs_tol=1e-9)
 
 
-def test_age_of_first_unit_is_unknown():
+def test_age_of_first_unit_is_unknown(replaced):
     """Its replacement is in the log, long before the first flight."""
-    long = health(np.zeros(9))
-    log = pl.DataFrame({"operator": "TST", "tail": "T-AAA", "pack": 1, "component": "HX", "action": "REPLACED"})
-    log = log.with_columns(pl.col("pack").cast(pl.Int32), done_on=pl.lit(date(1999, 1, 1)))
-    assert features(long, NO_RESIDUALS, legs_of(long), log)["flights_since_replacement"].null_count() == 9
+    out = describe(np.zeros(9), replaced.with_columns(done_on=pl.lit(date(1999, 1, 1))))
+    assert out["flights_since_replacement"].null_count() == 9
 
 
 @pytest.mark.parametrize(
