@@ -3,6 +3,7 @@
 import numpy as np
 import polars as pl
 import pytest
+from alter import alter
 from hand_pack import FLIGHT, LAWS
 
 from hdt_core.health.sensor_checks import CHECKS, cross_checks
@@ -22,26 +23,37 @@ def witnesses(samples: pl.DataFrame, pack: int = 1) -> tuple[pl.DataFrame, pl.Da
     return out.head(FROM), out.slice(FROM)
 
 
-def test_sound_aircraft_shows_nothing(fly) -> None:
-    out = cross_checks(fly(40))
-    assert out.height == 80
-    assert out["running"].all()
-    for sensor in SIGNALS:
-        expected = 1.0 if sensor == "ram_out_k" else 0.0
-        assert out[f"{sensor}_lost_share"].max() == expected
-        assert not out[f"{sensor}_still"].any()
+@pytest.fixture(scope="module")
+def sound(fly) -> pl.DataFrame:
+    """Forty flights of a sound aircraft."""
+    return fly(40)
+
+
+def test_sound_aircraft_shows_nothing(sound) -> None:
+    out = cross_checks(sound)
+    assert out["running"].to_list() == [True] * 80
     assert out["door_span"].min() > 0.05
     assert out["door_peg_excess_k"].abs().max() < 1.3
     assert out["w_hx_out_between_packs_k"].std() < 2.0
-    samples = fly(40)
-    fault = late(samples)
-    frozen = samples.with_columns(pl.when(fault).then(0.8).otherwise(pl.col("cc_flow_kg_s")).alias("cc_flow_kg_s"))
-    every_second = fault & (pl.int_range(pl.len()) % 2 == 0)
-    empty = samples.with_columns(pl.when(every_second).then(None).otherwise("hx_in_k").alias("hx_in_k"))
-    before, after = witnesses(frozen)
+
+
+def test_sound_sensors_move(sound) -> None:
+    out = cross_checks(sound)
+    empty = {sensor: out[f"{sensor}_lost_share"].max() for sensor in SIGNALS}
+    assert empty == dict.fromkeys(SIGNALS, 0.0) | {"ram_out_k": 1.0}
+    assert not out.select(pl.any_horizontal(f"{sensor}_still" for sensor in SIGNALS).any()).item()
+
+
+def test_frozen_sensor_stands_still(sound) -> None:
+    before, after = witnesses(alter(sound, late(sound), cc_flow_kg_s=0.8))
     assert not before["cc_flow_kg_s_still"].any()
     assert after["cc_flow_kg_s_still"].all()
-    assert witnesses(empty)[1]["hx_in_k_lost_share"].to_list() == pytest.approx([0.5] * 10)
+
+
+def test_empty_readings_are_counted(sound) -> None:
+    every_second = late(sound) & (pl.int_range(pl.len()) % 2 == 0)
+    _, after = witnesses(alter(sound, every_second, hx_in_k=None))
+    assert after["hx_in_k_lost_share"].to_list() == pytest.approx([0.5] * 10)
 
 
 def both_packs() -> pl.DataFrame:
@@ -60,56 +72,87 @@ def first(samples: pl.DataFrame) -> dict[str, object]:
     return cross_checks(samples, LAWS).row(by_predicate=pl.col("pack") == 1, named=True)
 
 
+S = {name: FLIGHT[name].to_numpy() for name in FLIGHT.columns}
+ABOVE_K = S["hx_out_k"] - np.interp(S["tat_k"], (230.0, 250.0, 300.0), (-10.0, -10.0, 20.0))
+"""Outlet above the schedule's shape."""
+FREE = S["ram_door_open"] <= 0.95
+
+
 def test_cross_checks_by_hand() -> None:
-    row, s = first(both_packs()), {name: FLIGHT[name].to_numpy() for name in FLIGHT.columns}
-    ln, shape = np.log, np.interp(s["tat_k"], (230.0, 250.0, 300.0), (-10.0, -10.0, 20.0))
-    static_pa = 22_632.0 * np.exp(-9.80665 * (s["altitude_m"] - 11_000.0) / (287.053 * 216.65))
-    pitot_pa = static_pa * (1.0 + 0.2 * s["mach"] ** 2) ** 3.5
-    delivery = np.interp(s["altitude_m"], (5000.0, 15_000.0), (0.06, -0.04)) + 0.17 * s["pack_flow_kg_s"] ** 2
-    above, door = s["hx_out_k"] - shape, s["ram_door_open"]
-    free = door <= 0.95
+    ln = np.log
+    static_pa = 22_632.0 * np.exp(-9.80665 * (S["altitude_m"] - 11_000.0) / (287.053 * 216.65))
+    pitot_pa = static_pa * (1.0 + 0.2 * S["mach"] ** 2) ** 3.5
+    delivery = np.interp(S["altitude_m"], (5000.0, 15_000.0), (0.06, -0.04)) + 0.17 * S["pack_flow_kg_s"] ** 2
     by_hand = {
-        "w_inlet_minus_tat_k": np.median(s["cc_in_k"] - s["tat_k"]),
-        "w_inlet_over_total_pressure_ln": np.median(ln(s["cc_in_pa"] / s["total_pressure_pa"])),
-        "w_total_over_pitot_pressure_ln": np.median(ln(s["total_pressure_pa"] / pitot_pa)),
-        "w_pack_over_compressor_flow_ln": np.median(ln(s["pack_flow_kg_s"] / s["cc_flow_kg_s"])),
+        "w_inlet_minus_tat_k": np.median(S["cc_in_k"] - S["tat_k"]),
+        "w_inlet_over_total_pressure_ln": np.median(ln(S["cc_in_pa"] / S["total_pressure_pa"])),
+        "w_total_over_pitot_pressure_ln": np.median(ln(S["total_pressure_pa"] / pitot_pa)),
+        "w_pack_over_compressor_flow_ln": np.median(ln(S["pack_flow_kg_s"] / S["cc_flow_kg_s"])),
         "w_tat_between_packs_k": -0.4, "w_total_pressure_between_packs_ln": -ln(1.003),
         "w_pack_flow_between_packs_ln": -ln(1.02), "w_compressor_flow_between_packs_ln": -ln(0.99),
         "w_cc_out_pressure_between_packs_ln": -ln(1.01), "w_hx_in_between_packs_k": 2.0,
-        "w_cc_out_pressure_over_schedule_ln": np.median(ln(s["cc_out_pa"]) - delivery),
-        "w_cc_out_between_packs_k": -3.0, "w_hx_out_minus_target_k": np.median(above[free]),
+        "w_cc_out_pressure_over_schedule_ln": np.median(ln(S["cc_out_pa"]) - delivery),
+        "w_cc_out_between_packs_k": -3.0, "w_hx_out_minus_target_k": np.median(ABOVE_K[FREE]),
         "w_hx_out_between_packs_k": -1.5, "w_hx_out_between_packs_k_n": 3, "w_inlet_minus_tat_k_n": 6,
-        "door_span": np.quantile(door, 0.95, method="nearest") - np.quantile(door, 0.05, method="nearest"),
-        "door_max": 1.0, "door_n": 6, "door_travel": np.abs(np.diff(door)).sum(), "door_median": np.median(door),
-        "door_full_open_share": 0.5, "tat_cruise_k": np.median(s["tat_k"]),
-        "altitude_cruise_m": np.median(s["altitude_m"]), "mach_cruise": np.median(s["mach"]),
-        "hx_in_cruise_k": np.median(s["hx_in_k"]), "hx_out_cruise_k": np.median(s["hx_out_k"]),
-        "pack_flow_cruise_kg_s": np.median(s["pack_flow_kg_s"]),
-        "cc_speed_cruise_rad_s": np.median(s["cc_speed_rad_s"]), "n_snapshots": 6, "flight_hours": 5.0 / 60.0,
-        "hx_out_target_sd_k": above[free].std(ddof=1),
+        "hx_out_target_sd_k": ABOVE_K[FREE].std(ddof=1),
     }  # fmt: skip
-    for name, value in by_hand.items():
-        assert row[name] == pytest.approx(value, rel=1e-4, abs=2e-5), name
+    row = first(both_packs())
+    assert {name: row[name] for name in by_hand} == pytest.approx(by_hand, rel=1e-4, abs=2e-5)
+
+
+def test_setting_by_hand() -> None:
+    door = S["ram_door_open"]
+    medians = {
+        "tat_cruise_k": "tat_k", "altitude_cruise_m": "altitude_m", "mach_cruise": "mach", "hx_in_cruise_k": "hx_in_k",
+        "hx_out_cruise_k": "hx_out_k", "pack_flow_cruise_kg_s": "pack_flow_kg_s",
+        "cc_speed_cruise_rad_s": "cc_speed_rad_s", "door_median": "ram_door_open",
+    }  # fmt: skip
+    by_hand = {name: np.median(S[signal]) for name, signal in medians.items()} | {
+        "door_span": np.quantile(door, 0.95, method="nearest") - np.quantile(door, 0.05, method="nearest"),
+        "door_max": 1.0, "door_n": 6, "door_travel": np.abs(np.diff(door)).sum(), "door_full_open_share": 0.5,
+        "n_snapshots": 6, "flight_hours": 5.0 / 60.0,
+    }  # fmt: skip
+    row = first(both_packs())
+    assert {name: row[name] for name in by_hand} == pytest.approx(by_hand, rel=1e-4, abs=2e-5)
+
+
+def test_door_at_limit_has_authority() -> None:
     at_limit = first(both_packs().with_columns(ram_door_open=pl.lit(0.95)))
     assert (at_limit["door_full_open_share"], at_limit["w_hx_out_minus_target_k_n"]) == (0.0, 6)
-    assert row["door_peg_excess_k"] is None  # where the door is widest it has no authority
 
 
-def test_witness_needs_three_samples() -> None:
-    at, both = pl.int_range(pl.len()).over("pack"), both_packs()
-    for n_valid, is_computed in ((3, True), (2, False)):
-        row = first(both.with_columns(cc_in_k=pl.when(at < n_valid).then("cc_in_k")))
-        assert (row["w_inlet_minus_tat_k"] is not None) is is_computed
-        assert row["w_inlet_minus_tat_k_n"] == n_valid
-    climb = first(both.with_columns(phase=pl.when(at < 4).then(pl.lit("climb")).otherwise("phase")))
-    assert climb["w_inlet_minus_tat_k"] is None
-    assert climb["w_hx_out_minus_target_k"] is not None
-    for pa in (0.0, -1.0):
-        row = first(both_packs().with_columns(cc_out_pa=pl.lit(pa), total_pressure_pa=pl.lit(pa)))
-        assert row["w_cc_out_pressure_over_schedule_ln"] is None
-        assert row["w_total_over_pitot_pressure_ln"] is None
-        assert row["w_cc_out_pressure_between_packs_ln"] is None
-    once = both_packs().with_columns(cc_in_pa=pl.when(pl.int_range(pl.len()) > 0).then("cc_in_pa").otherwise(0.0))
+def test_open_door_has_no_peg_excess() -> None:
+    """Where the door is widest it has no authority."""
+    assert first(both_packs())["door_peg_excess_k"] is None
+
+
+AT = pl.int_range(pl.len()).over("pack")
+
+
+@pytest.mark.parametrize(("n_valid", "is_computed"), [(3, True), (2, False)])
+def test_witness_needs_three_samples(n_valid, is_computed) -> None:
+    row = first(both_packs().with_columns(cc_in_k=pl.when(n_valid > AT).then("cc_in_k")))
+    assert (row["w_inlet_minus_tat_k"] is not None) is is_computed
+    assert row["w_inlet_minus_tat_k_n"] == n_valid
+
+
+@pytest.mark.parametrize(("check", "is_computed"), [("inlet_minus_tat_k", False), ("hx_out_minus_target_k", True)])
+def test_inlet_needs_level_flight(check, is_computed) -> None:
+    climb = first(alter(both_packs(), AT < 4, phase=pl.lit("climb")))
+    assert (climb[f"w_{check}"] is not None) is is_computed
+
+
+@pytest.mark.parametrize("pa", [0.0, -1.0])
+@pytest.mark.parametrize(
+    "check", ["cc_out_pressure_over_schedule_ln", "total_over_pitot_pressure_ln", "cc_out_pressure_between_packs_ln"]
+)
+def test_impossible_pressure_is_no_witness(pa, check) -> None:
+    row = first(both_packs().with_columns(cc_out_pa=pl.lit(pa), total_pressure_pa=pl.lit(pa)))
+    assert row[f"w_{check}"] is None
+
+
+def test_impossible_sample_is_left_out() -> None:
+    once = alter(both_packs(), pl.int_range(pl.len()) == 0, cc_in_pa=0.0)
     assert first(once)["w_inlet_over_total_pressure_ln_n"] == 5
 
 
@@ -122,27 +165,29 @@ def test_witness_needs_three_samples() -> None:
         ("cc_flow_kg_s", "compressor_flow_between_packs_ln"), ("pack_flow_kg_s", "pack_flow_between_packs_ln"),
     ],
 )  # fmt: skip
-def test_resting_pack_is_no_witness(signal: str, check: str) -> None:
-    for of in (1, 2):
-        for flow, is_computed in ((0.2, False), (0.201, True)):
-            rest = pl.when(pl.col("pack") == of).then(flow).otherwise(signal)
-            value = first(both_packs().with_columns(rest.alias(signal)))[f"w_{check}"]
-            if of == 1 or "between" in check:
-                assert (value is not None) is is_computed
+@pytest.mark.parametrize(("flow", "is_computed"), [(0.2, False), (0.201, True)])
+def test_resting_pack_is_no_witness(signal: str, check: str, flow: float, is_computed: bool) -> None:
+    for pack in (1, 2) if "between" in check else (1,):
+        row = first(alter(both_packs(), pl.col("pack") == pack, **{signal: flow}))
+        assert (row[f"w_{check}"] is not None) is is_computed
 
 
-def test_still_sensor_needs_eight_readings() -> None:
-    at = pl.int_range(pl.len())
-    times = pl.col("time_utc").first() + pl.duration(minutes=2 * at)
-    rows = pl.concat([FLIGHT, FLIGHT]).with_columns(times, source=pl.lit("acms"))
-    for n, still in ((8, True), (7, False)):
-        frozen = rows.with_columns(mach=pl.when(at < n).then(0.8))
-        row = first(frozen)
-        assert row["mach_still"] is still
-        assert row["mach_lost_share"] == pytest.approx((12 - n) / 12)
-        assert row["flight_hours"] == pytest.approx(22.0 / 60.0)
-    moving = rows.with_columns(mach=0.8 + 0.001 * (at == 0))
-    assert not first(moving)["mach_still"]
+@pytest.fixture
+def twelve() -> pl.DataFrame:
+    """Twelve samples two minutes apart."""
+    times = pl.col("time_utc").first() + pl.duration(minutes=2 * pl.int_range(pl.len()))
+    return pl.concat([FLIGHT, FLIGHT]).with_columns(times, source=pl.lit("acms"))
+
+
+@pytest.mark.parametrize(("n", "still"), [(8, True), (7, False)])
+def test_still_sensor_needs_eight_readings(twelve, n, still) -> None:
+    row = first(twelve.with_columns(mach=pl.when(pl.int_range(pl.len()) < n).then(0.8)))
+    assert row["mach_still"] is still
+    assert (row["mach_lost_share"], row["flight_hours"]) == pytest.approx(((12 - n) / 12, 22.0 / 60.0))
+
+
+def test_moving_sensor_is_not_still(twelve) -> None:
+    assert not first(twelve.with_columns(mach=0.8 + 0.001 * (pl.int_range(pl.len()) == 0)))["mach_still"]
 
 
 @pytest.mark.parametrize(
@@ -154,47 +199,48 @@ def test_either_flow_marks_running_pack(pack_flow, cc_flow, running) -> None:
 
 
 def test_peg_excess_compares_stop() -> None:
+    """Outlet at the stop against the rest."""
     door = pl.Series("ram_door_open", [0.50, 0.49, 0.486, 0.485, 0.3, 0.2] * 2)
-    s = both_packs().with_columns(door)
-    row = first(s)
-    above = FLIGHT["hx_out_k"].to_numpy() - np.interp(FLIGHT["tat_k"], (230.0, 250.0, 300.0), (-10.0, -10.0, 20.0))
+    row = first(both_packs().with_columns(door))
     assert (row["door_peg_n"], row["door_off_peg_n"]) == (3, 3)
-    assert row["door_peg_excess_k"] == pytest.approx(np.median(above[:3]) - np.median(above[3:]))
+    assert row["door_peg_excess_k"] == pytest.approx(np.median(ABOVE_K[:3]) - np.median(ABOVE_K[3:]))
 
 
-def test_jammed_door_leaves_target(fly) -> None:
-    samples = fly(40)
+def test_jammed_door_leaves_target(sound) -> None:
     noise = 0.005 * (pl.int_range(pl.len()) % 3 - 1)
-    door = pl.when(late(samples)).then(0.4 + noise).otherwise(pl.col("ram_door_open")).alias("ram_door_open")
-    warm = pl.when(late(samples)).then(pl.col("hx_out_k") + pl.col("altitude_m") / 1000 - 6).otherwise("hx_out_k")
-    before, after = witnesses(samples.with_columns(door, warm.alias("hx_out_k")))
+    warm = pl.col("hx_out_k") + pl.col("altitude_m") / 1000 - 6
+    before, after = witnesses(alter(sound, late(sound), ram_door_open=0.4 + noise, hx_out_k=warm))
     assert before["door_span"].min() > 0.05
     assert after["door_span"].max() < 0.02
     assert not after["ram_door_open_still"].any()
     assert after["hx_out_target_sd_k"].min() > 3 * before["hx_out_target_sd_k"].max()
 
 
-def test_outlet_runs_warm_at_stop(fly) -> None:
-    samples = fly(40)
-    stop = 0.19
-    lack = (pl.col("ram_door_open") - stop).clip(lower_bound=0.0)
-    fault = late(samples)
-    warm = pl.when(fault).then(pl.col("hx_out_k") + 100 * lack).otherwise(pl.col("hx_out_k")).alias("hx_out_k")
-    door = pl.when(fault).then(pl.col("ram_door_open").clip(upper_bound=stop)).otherwise(pl.col("ram_door_open"))
-    before, after = witnesses(samples.with_columns(warm, door.alias("ram_door_open")))
+def test_outlet_runs_warm_at_stop(sound) -> None:
+    door = pl.col("ram_door_open")
+    warm = pl.col("hx_out_k") + 100 * (door - 0.19).clip(lower_bound=0.0)
+    before, after = witnesses(alter(sound, late(sound), hx_out_k=warm, ram_door_open=door.clip(upper_bound=0.19)))
     assert before["door_peg_excess_k"].max() < 1.3
     assert after["door_peg_excess_k"].median() > 1.3
 
 
-def test_pack_off_is_no_witness(fly) -> None:
-    samples = fly(40)
-    off = late(samples)
-    flows = [pl.when(off).then(0.0).otherwise(pl.col(c)).alias(c) for c in ("pack_flow_kg_s", "cc_flow_kg_s")]
-    out = cross_checks(samples.with_columns(flows))
-    assert not out.filter(pl.col("pack") == 1).sort("departed_at").slice(FROM)["running"].any()
-    other = out.filter(pl.col("pack") == 2).sort("departed_at").slice(FROM)
+@pytest.fixture(scope="module")
+def one_off(sound) -> pl.DataFrame:
+    """The aircraft with its first pack off from flight 30 on."""
+    return alter(sound, late(sound), pack_flow_kg_s=0.0, cc_flow_kg_s=0.0)
+
+
+def test_pack_without_flow_is_off(one_off) -> None:
+    assert not witnesses(one_off)[1]["running"].any()
+
+
+def test_pack_off_is_no_witness(one_off) -> None:
+    _, other = witnesses(one_off, pack=2)
     assert other["running"].all()
     assert other["w_hx_out_between_packs_k"].null_count() == other.height
+
+
+def test_lone_pack_keeps_own_checks(fly) -> None:
     out = cross_checks(fly(12).filter(pl.col("pack") == 1))
     assert out["w_hx_out_between_packs_k"].null_count() == out.height
     assert out["w_inlet_minus_tat_k"].null_count() == 0
