@@ -52,19 +52,33 @@ def test_smaller_machine_delivers_less():
     left = [share(ln_diameter) for ln_diameter in (0.0, -0.03, -0.06, -0.1)]
     assert (np.diff(left) < 0.0).all()
     assert left[-1] > 0.0
+
+
+def test_higher_limit_leaves_more():
     assert share(-0.05, speed_rad_s=1.02 * LIMIT_RAD_S) > share(-0.05)
+
+
+@pytest.mark.parametrize(("widest", "bound"), [(1.1, 1.0), (1.0, 1.0), (0.9, 0.9)])
+def test_share_ends_at_widest(widest, bound):
+    """There it has no slope."""
     critical = np.array([[-2.0, -1.0, 0.0, 1.0, 2.0]])
-    for widest, bound in ((1.1, 1.0), (1.0, 1.0), (0.9, 0.9)):
-        shares, slope = share_left(np.zeros(1), critical, np.array([widest]))
-        assert shares[0] == pytest.approx(bound)
-        assert np.isnan(slope[0]) == (widest <= 1.0)
-    easy = {"inlet_pa": 60_000.0}
-    critical, widest = required_diameter(cruise_demand(**easy), FIT, LIMIT_RAD_S)
+    shares, slope = share_left(np.zeros(1), critical, np.array([widest]))
+    assert shares[0] == pytest.approx(bound)
+    assert np.isnan(slope[0]) == (widest <= 1.0)
+
+
+def test_easy_cruise_ends_at_widest():
+    critical, widest = required_diameter(cruise_demand(inlet_pa=60_000.0), FIT, LIMIT_RAD_S)
     shares, slope = share_left(np.zeros(1), critical, widest)
     assert shares[0] == widest[0]
     assert np.isnan(slope[0])
-    wider = replace(FIT, vda_widest_counts=900.0)
-    assert share_left(np.zeros(1), *required_diameter(cruise_demand(**easy), wider, LIMIT_RAD_S))[0][0] > shares[0]
+
+
+def test_wider_map_leaves_more():
+    fits = FIT, replace(FIT, vda_widest_counts=900.0)
+    demand = cruise_demand(inlet_pa=60_000.0)
+    own, wider = (share_left(np.zeros(1), *required_diameter(demand, fit, LIMIT_RAD_S))[0][0] for fit in fits)
+    assert wider > own
 
 
 @pytest.mark.parametrize(
@@ -122,39 +136,53 @@ def test_demand_is_of_hardest_fifth(dsm, laws, flight):
 
 @pytest.mark.parametrize("limit_rad_s", [4100.0, 4500.0])
 def test_hot_high_demand_by_hand(dsm, laws, flight, limit_rad_s):
+    """The compressor's inlet follows the air."""
     row = compressor_demand(flight, dsm, replace(laws, speed=SpeedLimit(limit_rad_s))).row(0, named=True)
-    rows = compressor_samples(cruise_samples(flight, monitored=False), dsm.pack_table())
-    at = {c: float(rows[c].median()) for c in ("inlet_k", "inlet_pa", "tat_k", "total_pressure_pa", "altitude_m")}
-    flow, pack_flow = row["cc_flow_asked_kg_s"], float(rows["pack_flow_kg_s"].median())
-
-    # the compressor's inlet follows the air
+    at = compressor_samples(cruise_samples(flight, monitored=False), dsm.pack_table()).median().row(0, named=True)
+    flow = row["cc_flow_asked_kg_s"]
     air = {name: float(v[0]) for name, v in reference_air(1, 12_497.0).items()}
     warmer_k = air["tat_k"] + 15.0 * (1.0 + 0.2 * 0.84**2) - at["tat_k"]
     warmer_pa = at["inlet_pa"] * air["total_pressure_pa"] / at["total_pressure_pa"]
     inlet = np.array([at["inlet_k"] + warmer_k]), np.array([warmer_pa])
     there = pl.DataFrame({"altitude_m": [12_497.0]})
-    asked = [(pressure_ln(there, s * pack_flow), s * flow) for s in FLOWS]
+    asked = [(pressure_ln(there, s * at["pack_flow_kg_s"]), s * flow) for s in FLOWS]
     critical = [least_ln_diameter(*inlet, *one, limit_rad_s).item() for one in asked]
     assert [row[n] for n in CRITICAL_DIAMETER["hot_high"]] == pytest.approx(critical, abs=1e-5)
     assert row["cc_widest_share_hot_high"] == pytest.approx(widest_kg_s(*inlet, limit_rad_s) / flow, rel=1e-5)
 
 
 def test_demand_needs_limit(dsm, laws, flight):
-    unlimited = replace(laws, speed=SpeedLimit())
-    assert compressor_demand(flight, dsm, unlimited).height == 0
+    assert compressor_demand(flight, dsm, replace(laws, speed=SpeedLimit())).height == 0
+
+
+def test_demand_needs_cruise(dsm, laws, flight):
     assert compressor_demand(flight.with_columns(phase=pl.lit("climb")), dsm, laws).height == 0
-    for slope, sd, n_rows in ((5.01e-8, 1e-8, 1), (4.99e-8, 1e-8, 0), (1.01e-8, 0.0, 1), (0.99e-8, 0.0, 0)):
-        fit = replace(dsm.compressor, group_slope_m3_per_count=slope, group_slope_sd_m3_per_count=sd)
-        assert compressor_demand(flight, replace(dsm, compressor=fit), laws).height == n_rows
+
+
+@pytest.mark.parametrize(
+    ("slope", "sd", "n_rows"), [(5.01e-8, 1e-8, 1), (4.99e-8, 1e-8, 0), (1.01e-8, 0.0, 1), (0.99e-8, 0.0, 0)]
+)
+def test_demand_needs_map(dsm, laws, flight, slope, sd, n_rows):
+    """A slope of the group beyond five deviations."""
+    fit = replace(dsm.compressor, group_slope_m3_per_count=slope, group_slope_sd_m3_per_count=sd)
+    assert compressor_demand(flight, replace(dsm, compressor=fit), laws).height == n_rows
+
+
+def test_missing_position_costs_its_sample(dsm, laws, flight):
     holed = flight.with_columns(vda_counts=pl.when(pl.int_range(pl.len()) > 0).then("vda_counts"))
-    demand = compressor_demand(holed, dsm, laws)
+    demand = compressor_demand(holed, dsm, laws).select(CRITICAL_DIAMETER["p20"])
     assert demand.height == 1
-    assert demand.select(CRITICAL_DIAMETER["p20"]).null_count().sum_horizontal().item() == 0
+    assert demand.null_count().sum_horizontal().item() == 0
+
+
+def test_unmet_limit_is_stated(dsm, laws, flight):
     unmet = replace(laws, speed=SpeedLimit(4500.0, at_limit=False))
     assert not compressor_demand(flight, dsm, unmet)["cc_speed_limit_met"][0]
-    # a stranger's sensors are taken as sound, its level as that of all
-    new = flight.with_columns(tail=pl.lit("T-99"))
-    stranger = compressor_demand(new, dsm, laws)
+
+
+def test_unmet_tail_has_sound_sensors(dsm, laws, flight):
+    """Its level is that of all."""
+    stranger = compressor_demand(flight.with_columns(tail=pl.lit("T-99")), dsm, laws)
     level = replace(laws.delivery, levels={"": np.log(86e3)})
     sound = replace(dsm, packs=(replace(dsm.packs[0], inlet_bias_k=0.0, inlet_bias_ln=0.0, exit_bias_ln=0.0),))
     same = compressor_demand(flight, sound, replace(laws, delivery=level))
@@ -162,12 +190,11 @@ def test_demand_needs_limit(dsm, laws, flight):
 
 
 @pytest.mark.parametrize("name", ["cc_in_pa", "cc_in_k", "vda_counts", "total_pressure_pa", "pack_flow_kg_s"])
-def test_impossible_readings_cost_own_flight(dsm, laws, flight, name):
+@pytest.mark.parametrize("value", [0.0, -5000.0, 1e9])
+def test_impossible_readings_cost_own_flight(dsm, laws, flight, name, value):
     other = flight.with_columns(flight_id=pl.lit("T-00_001"))
-    clean = compressor_demand(other, dsm, laws)
-    for value in (0.0, -5000.0, 1e9):
-        odd = flight.with_columns(pl.lit(value).alias(name))
-        demand = compressor_demand(pl.concat([odd, other]), dsm, laws)
-        assert demand.filter(pl.col("flight_id") == "T-00_001").equals(clean)
-        numbers = demand.select(pl.selectors.float())
-        assert numbers.select(pl.all().is_finite().fill_null(True).all()).row(0) == (True,) * numbers.width
+    odd = flight.with_columns(pl.lit(value).alias(name))
+    demand = compressor_demand(pl.concat([odd, other]), dsm, laws)
+    numbers = demand.select(pl.selectors.float())
+    assert demand.filter(flight_id="T-00_001").equals(compressor_demand(other, dsm, laws))
+    assert numbers.select(pl.all().is_finite().fill_null(True).all()).row(0) == (True,) * numbers.width

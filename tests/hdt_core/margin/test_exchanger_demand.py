@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import polars as pl
 import pytest
+from alter import alter
 
 from hdt_core.calibration import exchanger as hx
 from hdt_core.margin import exchanger_demand as exchanger_demand_module
@@ -40,8 +41,14 @@ def test_open_door_outlet_is_models():
     for ln_ratio, k in zip((-0.3, 0.0), outlet, strict=True):
         ua = np.exp(ln_clean_conductance(full, ram, hx.MEAN) + ln_ratio)
         assert k == outlets_k(full["pack_flow_kg_s"], ram, full["hx_in_k"], full["tat_k"], ua)[0][0]
+
+
+def test_open_door_outlet_ignores_position():
     shut, open_ = (full_open_outlet_k(cruise(ram_door_open=d), hx.MEAN, LN_RATIOS) for d in (0.1, 0.9))
     np.testing.assert_array_equal(shut, open_)
+
+
+def test_no_speed_has_no_outlet():
     still = cruise(mach=0.0, total_pressure_pa=22_632.0)
     assert np.isnan(full_open_outlet_k(still, hx.MEAN, LN_RATIOS)).all()
 
@@ -52,48 +59,70 @@ def test_harder_cruise_takes_margin(changed):
     assert harder > plain
 
 
-def columns(rows: pl.DataFrame) -> dict[str, np.ndarray]:
-    return {name: rows[name].to_numpy().astype(float) for name in hx.SIGNALS}
+@pytest.fixture
+def s(flight) -> dict[str, np.ndarray]:
+    """Signals of the flight."""
+    return {name: flight[name].to_numpy().astype(float) for name in hx.SIGNALS}
 
 
 def shape_k(tat_k: np.ndarray) -> np.ndarray:
     return np.interp(tat_k, (230.0, 250.0, 300.0), (-10.0, -10.0, 20.0))
 
 
-def test_flight_demand_by_hand(dsm, laws, flight):
-    row = exchanger_demand(flight, dsm, laws).row(0, named=True)
-    s = columns(flight)
-    above = s["hx_out_k"] - shape_k(s["tat_k"])
-    trim = np.median(above[[0, 1, 4]])  # where the door is not at its end: .3, .5, .95
-    target = shape_k(s["tat_k"]) + trim
+@pytest.fixture
+def trim_k(s) -> float:
+    """Level above the shape where the door is not at its end: .3, .5, .95."""
+    return float(np.median((s["hx_out_k"] - shape_k(s["tat_k"]))[[0, 1, 4]]))
+
+
+@pytest.fixture
+def row(dsm, laws, flight) -> dict[str, object]:
+    return exchanger_demand(flight, dsm, laws).row(0, named=True)
+
+
+def test_held_level_by_hand(row, s, trim_k):
     assert (row["high_n"], row["held_status"]) == (6, "flight")
-    assert row["held_k"] == pytest.approx(np.median(target))
+    assert row["held_k"] == pytest.approx(np.median(shape_k(s["tat_k"]) + trim_k))
     assert row["full_open_share"] == pytest.approx(0.5)
-    over = np.where(s["ram_door_open"] > 0.95, np.maximum(s["hx_out_k"] - target, 0.0), 0.0)
-    assert row["overheat_p20_k"] == pytest.approx(np.sort(over)[4])  # the nearest sample to .8 of the way
-    assert row["overheat_p50_k"] == pytest.approx(np.sort(over)[3])
+
+
+def test_overheat_is_with_open_door(row, s, trim_k):
+    over = np.where(s["ram_door_open"] > 0.95, np.maximum(s["hx_out_k"] - shape_k(s["tat_k"]) - trim_k, 0.0), 0.0)
+    # the nearest sample to .8 of the way
+    assert (row["overheat_p20_k"], row["overheat_p50_k"]) == pytest.approx(tuple(np.sort(over)[[4, 3]]))
+
+
+def test_free_door_has_no_overheat(dsm, laws, flight):
     away = exchanger_demand(flight.with_columns(ram_door_open=pl.lit(0.3)), dsm, laws)
     assert away["overheat_p20_k"].to_list() == [0.0]
-    # the flow reads 1 % high, the temperatures by .5, -.4 and .3 K
+
+
+@pytest.mark.parametrize(("sample", "names"), [(4, CRITICAL[:5]), (3, CRITICAL[5:])], ids=["p20", "p50"])
+def test_critical_ratios_by_hand(row, s, trim_k, sample, names):
+    """The flow reads 1 % high, the temperatures by .5, -.4 and .3 K."""
     true = s | {"pack_flow_kg_s": s["pack_flow_kg_s"] * np.exp(-0.01), "hx_in_k": s["hx_in_k"] - 0.5}
     true |= {"tat_k": s["tat_k"] - 0.3}
-    excess = np.sort(full_open_outlet_k(true, hx.MEAN, LN_RATIOS) - (target + 0.4)[:, None], axis=0)
-    for share, names in ((4, CRITICAL[:5]), (3, CRITICAL[5:])):
-        for excess_k, name in zip(EXCESS_K, names, strict=True):
-            assert row[name] == pytest.approx(falls_through(excess[[share]], LN_RATIOS, excess_k)[0], abs=1e-9), name
+    held_k = shape_k(s["tat_k"]) + trim_k + 0.4
+    excess = np.sort(full_open_outlet_k(true, hx.MEAN, LN_RATIOS) - held_k[:, None], axis=0)[[sample]]
+    by_hand = [falls_through(excess, LN_RATIOS, excess_k)[0] for excess_k in EXCESS_K]
+    assert [row[name] for name in names] == pytest.approx(by_hand, abs=1e-9)
 
 
-def test_hot_day_by_hand(dsm, laws, flight):
-    row = exchanger_demand(flight, dsm, laws).row(0, named=True)
-    s = columns(flight)
-    middle = {name: np.array([np.median(v)]) for name, v in s.items()}
-    trim = np.median((s["hx_out_k"] - shape_k(s["tat_k"]))[[0, 1, 4]])
+@pytest.fixture
+def middle(s) -> dict[str, np.ndarray]:
+    """The flight's middle operating point."""
+    return {name: np.array([np.median(v)]) for name, v in s.items()}
+
+
+def test_hot_day_by_hand(row, middle, trim_k):
     hot_k = hot_day_tat_k(middle["altitude_m"], middle["mach"])
     hot = middle | {"tat_k": hot_k, "hx_in_k": middle["hx_in_k"] + hot_k - middle["tat_k"]}
-    excess = full_open_outlet_k(hot, hx.MEAN, LN_RATIOS) - shape_k(hot_k) - trim
-    for excess_k, name in zip(EXCESS_K, HOT_DAY, strict=True):
-        assert row[name] == pytest.approx(falls_through(excess, LN_RATIOS, excess_k)[0]), name
+    excess = full_open_outlet_k(hot, hx.MEAN, LN_RATIOS) - shape_k(hot_k) - trim_k
+    by_hand = [falls_through(excess, LN_RATIOS, excess_k)[0] for excess_k in EXCESS_K]
+    assert [row[name] for name in HOT_DAY] == pytest.approx(by_hand)
 
+
+def test_parts_by_hand(row, s, middle, trim_k, flight):
     def margin(signals: dict[str, np.ndarray], level_k: float, ln_ram: float = 0.0) -> float:
         outlet = full_open_outlet_k(signals, hx.MEAN, np.array([0.05]), ln_ram)[0, 0]
         return float(shape_k(signals["tat_k"])[0] + level_k - outlet)
@@ -102,59 +131,71 @@ def test_hot_day_by_hand(dsm, laws, flight):
     flown = usual | {name: middle[name] for name in ("hx_in_k", "pack_flow_kg_s")}
     bias = np.array([0.01, 0.5, -0.4, 0.3, 0.01, 0.2])[:, None]
     ln_ram = float(np.median(hx.ln_ram_flow_ratio(s | {"ram_out_k": flight["ram_out_k"].to_numpy()}, hx.MEAN, bias)))
-    steps = [margin(usual, 301.0), margin(usual, trim), margin(flown, trim), margin(middle, trim)]
-    steps.append(margin(middle, trim, ln_ram))
+    steps = [margin(usual, 301.0), margin(usual, trim_k), margin(flown, trim_k), margin(middle, trim_k)]
+    steps.append(margin(middle, trim_k, ln_ram))
     assert [row[name] for name in PARTS] == pytest.approx([steps[0], *np.diff(steps)], abs=1e-9)
 
 
 def test_own_level_needs_two_samples(dsm, laws, flight):
-    """Else the pack's level stands."""
-    door = pl.when(pl.col("ram_door_open") == 0.95).then(1.0).otherwise("ram_door_open")
-    two = exchanger_demand(flight.with_columns(door.alias("ram_door_open")), dsm, laws)
+    two = exchanger_demand(alter(flight, pl.col("ram_door_open") == 0.95, ram_door_open=1.0), dsm, laws)
     assert two["held_status"].to_list() == ["flight"]
-    shut = flight.with_columns(ram_door_open=pl.when(pl.int_range(pl.len()) == 0).then(0.3).otherwise(1.0))
-    one = exchanger_demand(shut, dsm, laws)
-    assert one["held_status"].to_list() == ["pack"]
-    assert one["held_k"][0] == pytest.approx(302.0 + np.median(shape_k(flight["tat_k"].to_numpy())))
+
+
+def test_single_sample_takes_packs_level(dsm, laws, flight, s):
+    shut = alter(flight, pl.int_range(pl.len()) > 0, ram_door_open=1.0)
+    one = exchanger_demand(shut, dsm, laws).row(0, named=True)
+    assert one["held_status"] == "pack"
+    assert one["held_k"] == pytest.approx(302.0 + np.median(shape_k(s["tat_k"])))
+
+
+@pytest.mark.parametrize(("name", "value"), [("altitude_m", 4572.0), ("pack_flow_kg_s", 0.2), ("hx_in_k", None)])
+def test_low_sample_asks_nothing(dsm, laws, flight, name, value):
+    """Nor one of a pack at rest, nor a gap."""
+    rest = alter(flight, pl.int_range(pl.len()) == 0, **{name: value})
+    assert exchanger_demand(rest, dsm, laws)["high_n"].to_list() == [5]
+
+
+def test_high_running_samples_ask(dsm, laws, flight):
+    just = flight.with_columns(altitude_m=pl.lit(4572.1), pack_flow_kg_s=pl.lit(0.201))
+    assert exchanger_demand(just, dsm, laws)["high_n"].to_list() == [6]
 
 
 def test_low_flight_asks_nothing(dsm, laws, flight):
-    at = pl.int_range(pl.len())
-    for rest in (
-        flight.with_columns(altitude_m=pl.when(at == 0).then(4572.0).otherwise("altitude_m")),
-        flight.with_columns(pack_flow_kg_s=pl.when(at == 0).then(0.2).otherwise("pack_flow_kg_s")),
-        flight.with_columns(hx_in_k=pl.when(at != 0).then("hx_in_k")),
-    ):
-        assert exchanger_demand(rest, dsm, laws)["high_n"].to_list() == [5]
-    just = flight.with_columns(altitude_m=pl.lit(4572.1), pack_flow_kg_s=pl.lit(0.201))
-    assert exchanger_demand(just, dsm, laws)["high_n"].to_list() == [6]
-    none = exchanger_demand(flight.with_columns(altitude_m=pl.lit(4000.0)), dsm, laws).row(0, named=True)
-    assert (none["high_n"], none["held_status"], none[CRITICAL[0]]) == (0, "unknown", None)
+    none = exchanger_demand(flight.with_columns(altitude_m=pl.lit(4000.0)), dsm, laws)
+    assert none.select("high_n", "held_status", CRITICAL[0]).rows() == [(0, "unknown", None)]
 
 
-def test_blockage_needs_ram_outlet(dsm, laws, flight):
-    row = exchanger_demand(flight.with_columns(ram_out_k=pl.lit(None, pl.Float64)), dsm, laws).row(0, named=True)
-    assert row["hx_margin_blockage_k"] is None
-    assert row["hx_margin_ambient_k"] == exchanger_demand(flight, dsm, laws)["hx_margin_ambient_k"][0]
+def test_blockage_needs_ram_outlet(dsm, laws, flight, row):
+    blind = exchanger_demand(flight.with_columns(ram_out_k=pl.lit(None, pl.Float64)), dsm, laws)
+    names = ("hx_margin_blockage_k", "hx_margin_ambient_k")
+    assert blind.select(names).row(0) == (None, row["hx_margin_ambient_k"])
+
+
+def test_unmet_pack_has_sound_sensors(dsm, laws, flight):
     stranger = exchanger_demand(flight.with_columns(tail=pl.lit("T-99")), dsm, laws)
     sound = replace(dsm, packs=(replace(dsm.packs[0], bias=(0.0,) * 6, inlet_bias_k=0.0),))
-    known = exchanger_demand(flight, sound, laws)
-    assert stranger[CRITICAL[2]].to_list() == pytest.approx(known[CRITICAL[2]].to_list())
+    same = exchanger_demand(flight, sound, laws)
+    assert stranger[CRITICAL[2]].to_list() == pytest.approx(same[CRITICAL[2]].to_list())
 
 
 def test_stored_ratios_interpolate_well():
-    """To a twentieth where exchangers work; the columns' names tell share and excess."""
-    assert (exchanger_demand_module.LN_RATIOS[0], exchanger_demand_module.LN_RATIOS[-1]) == (-1.2, 0.6)
+    """To a quarter of a kelvin, to a twentieth where exchangers work."""
+    stored = exchanger_demand_module.LN_RATIOS
+    assert (stored[0], stored[-1]) == (-1.2, 0.6)
     off = []
-    for low, high in pairwise(exchanger_demand_module.LN_RATIOS):
+    for low, high in pairwise(stored):
         at = np.linspace(low, high, 101)
         outlet = full_open_outlet_k(cruise(), hx.MEAN, at)[0]
         off.append(np.abs(outlet - np.interp(at, (low, high), outlet[[0, -1]])).max())
     np.testing.assert_array_less(off, [0.13, 0.028, 0.049, 0.041, 0.048, 0.054, 0.1, 0.23])
-    assert CRITICAL[:3] == (
-        "critical_ln_ratio_p20_minus_20k", "critical_ln_ratio_p20_minus_10k", "critical_ln_ratio_p20_0k",
-    )  # fmt: skip
-    assert CRITICAL[9] == "critical_ln_ratio_p50_10k"
-    assert HOT_DAY[0] == "critical_ln_ratio_hot_day_minus_20k"
-    assert HOT_DAY[4] == "critical_ln_ratio_hot_day_10k"
+
+
+def test_excesses_are_as_declared():
     assert EXCESS_K == (-20.0, -10.0, 0.0, 5.0, 10.0)
+
+
+def test_columns_name_share_with_excess():
+    assert (*CRITICAL[:3], CRITICAL[9], HOT_DAY[0], HOT_DAY[4]) == (
+        "critical_ln_ratio_p20_minus_20k", "critical_ln_ratio_p20_minus_10k", "critical_ln_ratio_p20_0k",
+        "critical_ln_ratio_p50_10k", "critical_ln_ratio_hot_day_minus_20k", "critical_ln_ratio_hot_day_10k",
+    )  # fmt: skip
