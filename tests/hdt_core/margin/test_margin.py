@@ -34,23 +34,33 @@ def margin(ratio: float | None = 0.108, target_source: str = "flight") -> dict[s
 
 
 def test_exchanger_margin_by_hand():
+    """What the conductance left is worth, beside its level's doubt."""
     row = margin()
-    assert row["hx_ln_ua_ratio"] == pytest.approx(0.108)
-    assert row["hx_margin_k"] == pytest.approx(0.208 / 0.026)
-    assert row["hx_margin_sd_k"] == pytest.approx(hypot(0.025 / 0.026, 0.5))
-    assert row["hx_margin_hot_day_k"] == pytest.approx(0.158 / 0.020)
-    assert row["hx_margin_hot_day_sd_k"] == pytest.approx(hypot(0.025 / 0.020, 0.5))
     middle = 0.248 / 0.030
-    assert row["hx_margin_wear_k"] == pytest.approx(middle - (1.0 + 2.0 + 4.0 + 8.0))
-    assert row["hx_margin_profile_k"] == pytest.approx(8.0 - middle)
-    assert row["hx_margin_status"] == "ok"
-    row = margin(target_source="pack")
-    assert row["hx_margin_sd_k"] == pytest.approx(hypot(0.025 / 0.026, 2.0))
-    assert row["hx_margin_status"] == "level_of_pack"
+    expected = {
+        "hx_ln_ua_ratio": 0.108, "hx_margin_k": 0.208 / 0.026, "hx_margin_sd_k": hypot(0.025 / 0.026, 0.5),
+        "hx_margin_hot_day_k": 0.158 / 0.020, "hx_margin_hot_day_sd_k": hypot(0.025 / 0.020, 0.5),
+        "hx_margin_wear_k": middle - (1.0 + 2.0 + 4.0 + 8.0), "hx_margin_profile_k": 8.0 - middle,
+    }  # fmt: skip
+    assert {name: row[name] for name in expected} == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("target_source", "sd_k", "status"),
+    [
+        ("flight", hypot(0.025 / 0.026, 0.5), "ok"), ("pack", hypot(0.025 / 0.026, 2.0), "level_of_pack"),
+        ("unknown", None, "ok"),
+    ],
+)  # fmt: skip
+def test_margin_states_source_of_level(target_source, sd_k, status):
+    row = margin(target_source=target_source)
+    assert row["hx_margin_sd_k"] == pytest.approx(sd_k)
+    assert row["hx_margin_status"] == status
+
+
+def test_unknown_ratio_has_no_margin():
     row = margin(ratio=None)
     assert (row["hx_margin_k"], row["hx_margin_wear_k"], row["hx_margin_status"]) == (None, None, "not_known")
-    assert margin(target_source="unknown")["hx_margin_sd_k"] is None
-    assert margin(target_source="unknown")["hx_margin_status"] == "ok"
 
 
 def ratios(loss: list[float], ratio: list[float | None], life: list[int]) -> list[float | None]:
@@ -59,21 +69,33 @@ def ratios(loss: list[float], ratio: list[float | None], life: list[int]) -> lis
 
 
 def test_ratio_is_level_less_wear():
+    """The median of what there is, and of the last thirty flights."""
     level = [0.001 * k for k in range(40)]
     left = ratios([0.1] * 40, [v + log(0.9) for v in level], [0] * 40)
-    assert left[4] == pytest.approx(0.002 + log(0.9))  # median of what there is
-    assert left[39] == pytest.approx(0.0245 + log(0.9))  # median of the last thirty
-    assert ratios([0.2, 0.2, 0.0], [0.03 + log(0.8), None, 0.05], [0, 0, 1]) == pytest.approx(
-        [0.03 + log(0.8), 0.03 + log(0.8), 0.05]  # a gap takes the level before, a new unit its own
-    )
+    assert (left[4], left[39]) == pytest.approx((0.002 + log(0.9), 0.0245 + log(0.9)))
+
+
+def test_gap_takes_level_before():
+    """A new unit takes its own."""
+    left = ratios([0.2, 0.2, 0.0], [0.03 + log(0.8), None, 0.05], [0, 0, 1])
+    assert left == pytest.approx([0.03 + log(0.8), 0.03 + log(0.8), 0.05])
+
+
+def test_unmet_speed_limit_bounds_margin():
     unmet = delivery(limit_met=False)
     assert unmet["cc_flow_margin_status"] == "at_least"
     assert unmet["cc_flow_margin_sd_kg_s"] is not None
+
+
+def test_narrow_map_bounds_margin():
+    """Hot and high it is 1.096 of the flow: within the map."""
     narrow = delivery(widest=1.2)
     assert narrow["cc_flow_margin_kg_s"] == pytest.approx(0.8 * 0.2)
-    assert narrow["cc_flow_margin_sd_kg_s"] is None
-    assert narrow["cc_flow_margin_status"] == "at_least"
-    assert narrow["cc_flow_margin_hot_high_status"] == "ok"  # 1.096 of the flow: within the map
+    names = ("cc_flow_margin_sd_kg_s", "cc_flow_margin_status", "cc_flow_margin_hot_high_status")
+    assert [narrow[name] for name in names] == [None, "at_least", "ok"]
+
+
+def test_prior_rule_is_as_declared():
     rule = (PRIOR_RULE.share, PRIOR_RULE.excess_k, PRIOR_RULE.excess_sd_k, PRIOR_RULE.of, PRIOR_RULE.messages)
     assert rule == (0.2, 7.0, 2.5, 3, 0)
 
@@ -94,19 +116,31 @@ def delivery(*, loss: float = 0.04, limit_met: bool = True, widest: float = 2.0)
     return compressor_margin(wide, demand).row(0, named=True)
 
 
-def test_compressor_margin_by_hand():
-    row, left = delivery(), log(0.96)
-    hard, hot = (0.8 * ((left + at) / 0.2 - 1.0) for at in (0.30, 0.26))
+@pytest.fixture
+def row() -> dict[str, object]:
+    """Margins of a compressor that has lost 4 % of its diameter."""
+    return delivery()
+
+
+def test_flow_margin_by_hand(row):
+    """The flow beyond what is asked."""
+    hard, hot = (0.8 * ((log(0.96) + at) / 0.2 - 1.0) for at in (0.30, 0.26))
     sd = 0.8 / 0.2 * hypot(0.006, 0.0025)
-    assert row["cc_ln_diameter_ratio"] == pytest.approx(left)
-    assert row["cc_flow_margin_kg_s"] == pytest.approx(hard)
-    assert row["cc_flow_margin_hot_high_kg_s"] == pytest.approx(hot)
-    assert (row["cc_flow_margin_sd_kg_s"], row["cc_flow_margin_hot_high_sd_kg_s"]) == pytest.approx((sd, sd))
-    spare = 1.0 - exp(-0.10 - left)
-    assert row["cc_diameter_left"] == pytest.approx(spare)
-    assert row["cc_diameter_left_sd"] == pytest.approx((1.0 - spare) * hypot(0.006, 0.0025))
-    assert row["cc_diameter_left_hot_high"] == pytest.approx(1.0 - exp(-0.06 - left))
+    expected = {
+        "cc_ln_diameter_ratio": log(0.96), "cc_flow_margin_kg_s": hard, "cc_flow_margin_hot_high_kg_s": hot,
+        "cc_flow_margin_sd_kg_s": sd, "cc_flow_margin_hot_high_sd_kg_s": sd,
+    }  # fmt: skip
+    assert {name: row[name] for name in expected} == pytest.approx(expected)
     assert (row["cc_flow_margin_status"], row["cc_flow_margin_hot_high_status"]) == ("ok", "ok")
+
+
+def test_diameter_left_by_hand(row):
+    spare, spare_hot = (1.0 - exp(at - log(0.96)) for at in (-0.10, -0.06))
+    expected = {
+        "cc_diameter_left": spare, "cc_diameter_left_sd": (1.0 - spare) * hypot(0.006, 0.0025),
+        "cc_diameter_left_hot_high": spare_hot,
+    }  # fmt: skip
+    assert {name: row[name] for name in expected} == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("value", "at"), [(3.0, 0.5), (1.5, 2.0), (2.0, 1.0), (5.0, -0.5), (0.5, 4.0)])
