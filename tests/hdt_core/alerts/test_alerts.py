@@ -31,10 +31,13 @@ def track(samples: pl.DataFrame, loss: dict[int, np.ndarray], sd: float = 0.01) 
     return flights.with_columns(pl.Series("value", value), pl.lit(sd).alias("sd"), *own)
 
 
-def alerts_of(samples: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+def features_of(samples: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
     legs = health.select("operator", "tail", "flight_id", "pack", "departed_at")
-    out = features(health, Residuals.create_empty(), legs, maintenance, cross_checks=cross_checks(samples))
-    return raise_alerts(out, maintenance)
+    return features(health, Residuals.create_empty(), legs, maintenance, cross_checks=cross_checks(samples))
+
+
+def alerts_of(samples: pl.DataFrame, health: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
+    return raise_alerts(features_of(samples, health, maintenance), maintenance)
 
 
 def alerts_with_loss(samples: pl.DataFrame, maintenance: pl.DataFrame, **loss: np.ndarray) -> pl.DataFrame:
@@ -232,9 +235,7 @@ def test_warm_stop_is_lost_travel(samples, nothing_done, excess_k, raised) -> No
 
 def sensor_faults(samples: pl.DataFrame, maintenance: pl.DataFrame, loss: dict, shifts: dict) -> pl.DataFrame:
     """Sensors' alerts where the model's cross checks of the first pack shift from flight 50 on."""
-    health = track(samples, loss)
-    legs = health.select("operator", "tail", "flight_id", "pack", "departed_at")
-    rows = features(health, Residuals.create_empty(), legs, maintenance, cross_checks=cross_checks(samples))
+    rows = features_of(samples, track(samples, loss), maintenance)
     rng = np.random.default_rng(2)
     noise = {"w_hx_in_over_discharge_k": 0.7, "w_conductance_off_cruise_ln": 0.018, "hx_fouling_flight": 0.016}
     rows = rows.with_columns(**{name: pl.Series(sd * rng.standard_normal(rows.height)) for name, sd in noise.items()})

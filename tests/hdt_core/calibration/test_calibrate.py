@@ -16,7 +16,7 @@ from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.dsm import Dsm, design_parameters, elasticities, flow_elasticities
 from hdt_core.calibration.pooling import PooledLevel
 from hdt_core.estimation.panel import PanelLeastSquares
-from hdt_core.flight.legs import MILESTONES, baseline_flights
+from hdt_core.flight.legs import MILESTONES
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance
 from hdt_core.records.keys import FLIGHT_PACK
 from hdt_core.tables.twin import CalibrationDesign
@@ -109,12 +109,6 @@ def test_row_order_changes_nothing(small, small_model):
 def test_readings_change_version(small, small_model):
     warmer = small.samples.with_columns(pl.col("hx_out_k") + 1e-3)
     assert calibrate(warmer, small.legs, small.maintenance).dsm_version != small_model.dsm_version
-
-
-def test_baseline_grows_by_milestones():
-    rows = flights(400)
-    lengths = [len(baseline_flights(rows.head(n))) for n in (3, 12, 25, 79, 80, 159, 160, 400)]
-    assert lengths == [3, 10, 20, 40, 80, 80, 160, 160]
 
 
 LEVELS = (PooledLevel("TST", None, None, "hx_ua_reference_w_k", 1800.0, 100.0, 20),

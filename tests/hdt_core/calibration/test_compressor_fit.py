@@ -11,15 +11,7 @@ import pytest
 from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.arrays import Points, cruise_samples, flights_of, level_points, to_points
 from hdt_core.calibration.component_fit import flight_by_flight
-from hdt_core.calibration.compressor import (
-    BLADE_ANGLE_RAD,
-    ENTRY_WEAR,
-    HUB_RATIO,
-    _as_built,
-    compressor_samples,
-    fit_compressor,
-    inlet_geometry,
-)
+from hdt_core.calibration.compressor import ENTRY_WEAR, _as_built, compressor_samples, fit_compressor
 from hdt_core.calibration.dsm import flow_elasticities
 from hdt_core.calibration.exchanger import exchanger_panel
 from hdt_core.calibration.sensor_biases import probe_corrections
@@ -138,17 +130,6 @@ def test_few_points_keep_papers_line(fleet):
     few = fit_compressor(compressor_rows(fleet.samples.head(20)))
     assert few.intercept_m == 0.1731
     assert few.intercept_sd_m >= 0.01
-
-
-def test_inlet_geometry_obeys_group():
-    inlet = inlet_geometry(9.1e-4, 1e-6)
-    names = ("cc_inlet_area_m2", "cc_eye_diameter_m", "cc_blade_angle_rad")
-    (area, area_sd), (eye, _), angle = (inlet[n] for n in names)
-    assert area * eye * np.tan(angle[0]) == pytest.approx(9.1e-4, rel=1e-12)
-    assert area == pytest.approx(0.25 * np.pi * eye**2 * (1.0 - HUB_RATIO**2), rel=1e-12)
-    assert angle[0] == BLADE_ANGLE_RAD
-    # an angle of 36 +- 3 degrees leaves the area open by two thirds of 11 %
-    assert area_sd / area == pytest.approx(2.0 / 3.0 * 0.110, rel=0.01)
 
 
 FREE = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept")

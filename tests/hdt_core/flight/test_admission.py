@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 from alter import alter
+from twin_flights import NO_LOG
 
 from benchmarks.chain import admit_fleet
 from hdt_core.flight.admission import (
@@ -182,9 +183,10 @@ def test_norm_judges_each_tail_alone(fleet, level_one, norm, admitted):
 
 
 N = 30
-TEXT = dict.fromkeys(("operator", "tail", "component", "action", "code"), pl.String)
-NO_WORK = pl.DataFrame(schema=TEXT | {"pack": pl.Int32, "done_on": pl.Date})
-NO_MESSAGE = pl.DataFrame(schema=TEXT | {"pack": pl.Int32, "message_time": pl.Datetime("us", "UTC")})
+NO_MESSAGE = pl.DataFrame(
+    schema=dict.fromkeys(("operator", "tail", "code"), pl.String)
+    | {"pack": pl.Int32, "message_time": pl.Datetime("us", "UTC")}
+)
 LEGS = pl.select(flight_number=pl.int_range(N)).with_columns(
     operator=pl.lit("TST"), tail=pl.lit("T"), pack=pl.lit(1, pl.Int32), reason=pl.lit(""), admitted=pl.lit(True),
     flight_id=pl.col("flight_number").cast(pl.String).str.zfill(2), n_nominal=pl.lit(9, pl.Int64),
@@ -199,7 +201,7 @@ def verdicts(
     own = {"index_level": [0.0] * N, "index_n": [8] * N, "index_unrest": [0.0] * N} | signs
     indicators = legs.select(LEG).with_columns(pl.Series(k, v) for k, v in own.items())
     baseline = NominalBaseline(level=IndexLevel(clean=0.0, stray=0.0), scatter=scatter)
-    return admit(baseline, legs, indicators, NO_WORK, NO_MESSAGE, health).sort("flight_id")
+    return admit(baseline, legs, indicators, NO_LOG, NO_MESSAGE, health).sort("flight_id")
 
 
 def losses(parameter: str, value: float, sd: float | None) -> pl.DataFrame:

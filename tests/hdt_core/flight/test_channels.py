@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 from alter import alter
+from cruise import CRUISE
 
 from hdt_core.flight.channels import OWN_SIGNALS, find_channels, regular_gaps
 from hdt_core.flight.legs import judge_legs
@@ -13,16 +14,10 @@ from hdt_core.flight.samples import READING_SD
 from hdt_core.tables.raw import RawSnapshots
 
 LB_MIN = 0.45359237 / 60.0
-CRUISE_M = 11_000.0
-CRUISE = {
-    "mach": 0.8, "tat_k": 250.0, "total_pressure_pa": 34_500.0, "hx_in_k": 405.0, "hx_out_k": 296.0,
-    "ram_door_open": 0.3, "pack_flow_kg_s": 0.77, "ram_out_k": 335.0, "cc_speed_rad_s": 3_600.0, "cc_in_k": 251.0,
-    "cc_in_pa": 34_000.0, "cc_out_k": 365.0, "cc_out_pa": 93_000.0, "cc_flow_kg_s": 0.8, "vda_counts": 400.0,
-}  # fmt: skip
 AT_GROUND = {
-    "tat_k": 288.0, "total_pressure_pa": 101_000.0, "hx_in_k": 470.0, "hx_out_k": 320.0, "ram_door_open": 0.9,
-    "ram_out_k": 360.0, "cc_speed_rad_s": 2_500.0, "cc_in_k": 289.0, "cc_in_pa": 100_000.0, "cc_out_k": 420.0,
-    "cc_out_pa": 200_000.0,
+    "altitude_m": 0.0, "tat_k": 288.0, "total_pressure_pa": 101_000.0, "hx_in_k": 470.0, "hx_out_k": 320.0,
+    "ram_door_open": 0.9, "ram_out_k": 360.0, "cc_speed_rad_s": 2_500.0, "cc_in_k": 289.0, "cc_in_pa": 100_000.0,
+    "cc_out_k": 420.0, "cc_out_pa": 200_000.0,
 }  # fmt: skip
 
 
@@ -34,16 +29,12 @@ def fly(n: int = 40, every_s: float = 180.0, source: str = "acms") -> pl.DataFra
     keys = {"operator": "OPA", "tail": "T1", "flight_id": "T1_20240301_01", "source": source, "file": "f"}
     packs = []
     for pack in (1, 2):
-        signals = {"altitude_m": CRUISE_M * share}
+        signals = {}
         for name, value in CRUISE.items():
             mean = AT_GROUND.get(name, value) * (1.0 - share) + value * share
             signals[name] = mean + READING_SD.get(name, 0.0) * rng.standard_normal(n)
-        packs.append(pl.DataFrame({"pack": pack, "time_utc": times, **signals}).with_columns(**_literals(keys)))
+        packs.append(pl.DataFrame(keys | {"pack": pack, "time_utc": times} | signals))
     return RawSnapshots.conform(pl.concat(packs))
-
-
-def _literals(values: dict[str, str]) -> dict[str, pl.Expr]:
-    return {name: pl.lit(value) for name, value in values.items()}
 
 
 def in_steps(records: pl.DataFrame, signal: str, step: float) -> pl.DataFrame:

@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 import polars as pl
 import pytest
 from alter import alter
+from cruise import CRUISE
 
 from hdt_core.flight.legs import BLEED, REASONS, judge_legs, prepare_samples, reject_odd_bleed
 from hdt_core.records.keys import LEG
@@ -95,24 +96,16 @@ def test_planted_fault_has_reason(one_tail, tail_legs, new, reason):
     assert legs.filter(one, pack=2)["reason"].to_list() == [reason]
 
 
-FLOWN = {
-    "altitude_m": 11_000.0, "mach": 0.82, "tat_k": 250.0, "total_pressure_pa": 35_000.0, "hx_in_k": 405.0,
-    "hx_out_k": 296.0, "ram_door_open": 0.3, "pack_flow_kg_s": 0.77, "ram_out_k": 335.0, "cc_speed_rad_s": 3_600.0,
-    "cc_in_k": 251.0, "cc_in_pa": 33_500.0, "cc_out_k": 365.0, "cc_out_pa": 93_000.0, "cc_flow_kg_s": 0.8,
-    "vda_counts": 400.0,
-}  # fmt: skip
-
-
 def leg(pack: int = 1, rows: int = 12, **changed: object) -> pl.DataFrame:
     """A cruise of snapshots three minutes apart, the noisy signals in motion."""
     wobble = [0.001 * (k % 3) for k in range(rows)]
     moving = ("pack_flow_kg_s", "cc_flow_kg_s", "cc_speed_rad_s")
-    signals = FLOWN | {s: [FLOWN[s] * (1.0 + w) for w in wobble] for s in moving}
+    signals = CRUISE | {s: [CRUISE[s] * (1.0 + w) for w in wobble] for s in moving}
     at = [datetime(2024, 3, 1, 6, tzinfo=UTC) + timedelta(minutes=3 * k) for k in range(rows)]
     key = {"operator": "TST", "tail": "T", "flight_id": "F", "pack": pack, "source": "acms", "phase_code": None}
     frame = pl.DataFrame(key | {"time_utc": at} | signals | changed, strict=False)
     typed = {"pack": pl.Int32, "time_utc": pl.Datetime("us", "UTC"), "phase_code": pl.String}
-    return frame.cast(typed | dict.fromkeys(FLOWN, pl.Float64))
+    return frame.cast(typed | dict.fromkeys(CRUISE, pl.Float64))
 
 
 def reasons(*packs: pl.DataFrame) -> list[str]:
@@ -210,7 +203,7 @@ def test_icing_is_cold_air_below_fl220(tat_k, altitude_m, reason):
 def test_still_door_in_climb_is_rejected(span, rise_m, rows, still):
     door = [0.3 + span * (k % 2) for k in range(rows)]
     height = [11_000.0 - rise_m, 11_000.0 - rise_m / 2.0] + [11_000.0] * (rows - 2)
-    pa = {name: [60_000.0, 47_000.0] + [FLOWN[name]] * (rows - 2) for name in ("total_pressure_pa", "cc_in_pa")}
+    pa = {name: [60_000.0, 47_000.0] + [CRUISE[name]] * (rows - 2) for name in ("total_pressure_pa", "cc_in_pa")}
     assert reasons(leg(rows=rows, ram_door_open=door, altitude_m=height, **pa)) == ["DOOR_STILL" if still else ""]
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 from scipy.stats import chi2
+from twin_flights import NO_LOG
 
 from hdt_core.flight import conductance_index
 from hdt_core.flight.admission import Scatter, learn_scatter
@@ -155,8 +156,6 @@ def test_unrest_spans_nine_samples(monkeypatch):
 
 N = 50
 FLIGHT = np.arange(N)
-TEXT = dict.fromkeys(("operator", "tail", "component", "action"), pl.String)
-NO_LOG = pl.DataFrame(schema=TEXT | {"pack": pl.Int32, "done_on": pl.Date})
 
 
 def levels(level: np.ndarray, unrest: float = 0.0) -> pl.DataFrame:

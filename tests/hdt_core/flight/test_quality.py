@@ -6,16 +6,11 @@ import numpy as np
 import polars as pl
 import pytest
 from alter import alter
+from cruise import CRUISE
 
 from hdt_core.flight.samples import FROZEN_RISE_M, NOISY, SIGNALS, null_bad_values
 
 BY = ("tail", "pack")
-CRUISE = {
-    "altitude_m": 11_000.0, "mach": 0.82, "tat_k": 251.0, "total_pressure_pa": 35_000.0, "hx_in_k": 405.0,
-    "hx_out_k": 296.0, "ram_door_open": 0.3, "pack_flow_kg_s": 0.77, "ram_out_k": 335.0, "cc_speed_rad_s": 3_600.0,
-    "cc_in_k": 252.0,
-    "cc_in_pa": 33_500.0, "cc_out_k": 365.0, "cc_out_pa": 93_000.0, "cc_flow_kg_s": 0.8, "vda_counts": 400.0,
-}  # fmt: skip
 NOISE = {
     "pack_flow_kg_s": 0.008, "cc_flow_kg_s": 0.012, "cc_speed_rad_s": 80.0, "vda_counts": 40.0, "ram_door_open": 0.01,
 }  # fmt: skip

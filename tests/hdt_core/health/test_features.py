@@ -20,18 +20,12 @@ def health(loss: np.ndarray, pack: int = 1, tail: str = "T-AAA") -> pl.DataFrame
     n = len(loss)
     when = [START + timedelta(hours=8 * k) for k in range(n)]
     ids = [f"{tail}_{w:%Y%m%d}_{k % 3 + 1:02d}" for k, w in enumerate(when)]
-    frame = pl.DataFrame({"flight_id": ids, "departed_at": when, "value": loss}).with_columns(
-        pl.lit("TST").alias("operator"),
-        pl.lit(tail).alias("tail"),
-        pl.lit(pack, pl.Int32).alias("pack"),
-        pl.col("departed_at").cast(pl.Datetime("us", "UTC")),
-        pl.lit("HX").alias("component"),
-        pl.lit("hx_fouling").alias("parameter"),
-        pl.lit(0.01).alias("sd"),
-        pl.lit("-").alias("unit"),
-        pl.lit("ok").alias("status"),
-        pl.lit("kalman").alias("estimator"),
-    )
+    own = {
+        "operator": "TST", "tail": tail, "pack": pack, "component": "HX", "parameter": "hx_fouling", "sd": 0.01,
+        "unit": "-", "status": "ok", "estimator": "kalman",
+    }  # fmt: skip
+    typed = {"pack": pl.Int32, "departed_at": pl.Datetime("us", "UTC")}
+    frame = pl.DataFrame({"flight_id": ids, "departed_at": when, "value": loss} | own).cast(typed)
     return frame.with_columns(pl.col("value").fill_nan(None))
 
 
