@@ -32,7 +32,7 @@ def closings(cases: pl.DataFrame) -> list[tuple[datetime | None, str | None]]:
 
 @pytest.mark.parametrize("late", range(6))
 @pytest.mark.parametrize("timed", [False, True])
-def test_work_closes_alert_at_next_flight(late: int, timed: bool) -> None:
+def test_work_closes_alert_at_next_flight(late: int, timed: bool):
     """However late the log is, and even where the track goes on as if nothing had happened."""
     done = departure(60 + late) - timedelta(minutes=5)
     (alert,) = alerts(FOULING, work(done, timed=timed)).head(1).to_dicts()
@@ -47,30 +47,30 @@ AFTER_LAST = [departure(FLIGHTS - 1) + timedelta(days=days, hours=1) for days in
 
 
 @pytest.mark.parametrize("done", AFTER_LAST)
-def test_work_after_last_flight_closes_alert(done: datetime) -> None:
+def test_work_after_last_flight_closes_alert(done: datetime):
     cases = alerts(FOULING, work(done, timed=True))
     assert cases.select("closed_at", "now_flight_id").rows() == [(done, FOULING["flight_id"][-1])]
 
 
 @pytest.mark.parametrize("done", AFTER_LAST)
-def test_other_packs_flights_keep_closing_time(done: datetime) -> None:
+def test_other_packs_flights_keep_closing_time(done: datetime):
     busier = features(np.zeros(FLIGHTS + 5)).with_columns(pl.lit(2, pl.Int32).alias("pack"))
     both = pl.concat([FOULING, busier], how="diagonal")
     assert alerts(both, work(done, timed=True))["closed_at"].to_list() == [done]
 
 
-def test_other_components_work_closes_nothing() -> None:
+def test_other_components_work_closes_nothing():
     assert alerts(FOULING, work(departure(FLIGHTS), "CC"))["closed_at"].to_list() == [None]
 
 
-def test_new_unit_has_own_alert() -> None:
+def test_new_unit_has_own_alert():
     """A clog's case is not carried on by the loss of the unit that came after it."""
     loss = np.where(FLIGHT < 40, 0.03, np.where(FLIGHT < 52, 0.28, 0.012 * np.maximum(FLIGHT - 52, 0)))
     out = alerts(features(loss), work_before(52))
     assert out.select("diagnosis", "closed_at").rows() == [("HX_SUDDEN_CLOG", departure(52)), ("HX_FOULING", None)]
 
 
-def test_busier_aircraft_changes_no_alert() -> None:
+def test_busier_aircraft_changes_no_alert():
     """A belief held at a pack's last flight raises no case on flights that only the other aircraft flew."""
     alone = np.concatenate([np.zeros(40), np.full(40, 0.3)])
     rows = features(np.zeros(80), hx_fouling_flight=alone).with_columns(hx_fouling_step_3=pl.lit(-0.2))
@@ -80,7 +80,7 @@ def test_busier_aircraft_changes_no_alert() -> None:
 
 
 @pytest.mark.parametrize("code", DIAGNOSES)
-def test_diagnosis_ends_with_own_component(code: str) -> None:
+def test_diagnosis_ends_with_own_component(code: str):
     own = DIAGNOSES[code].component
     grid = Grid.from_frame(features(np.zeros(FLIGHTS)))
     for component in ("HX", "CC", "RAM_DOOR", "SENSOR"):
@@ -90,7 +90,7 @@ def test_diagnosis_ends_with_own_component(code: str) -> None:
             assert case.closed_flight == (50 if component == own and action == "REPLACED" else None)
 
 
-def test_evidence_separates_raising_from_now() -> None:
+def test_evidence_separates_raising_from_now():
     rows = features(np.linspace(0.0, 0.35, FLIGHTS), door_full_open_share=np.linspace(0.0, 0.4, FLIGHTS) ** 2)
     (alert,) = alerts(rows, NOTHING).to_dicts()
     raised = 100 * rows.filter(flight_id=alert["raised_flight_id"])["hx_fouling"].item()
@@ -100,7 +100,7 @@ def test_evidence_separates_raising_from_now() -> None:
     assert alert["now_flight_id"] == rows["flight_id"][-1]
 
 
-def test_later_flights_keep_raised_evidence() -> None:
+def test_later_flights_keep_raised_evidence():
     stays = ["alert_id", "raised_at", "raised_severity", "evidence", "recommended_action"]
     whole, part = (alerts(rows, NOTHING).select(stays) for rows in (FOULING, FOULING.head(70)))
     assert part.equals(whole)
@@ -112,20 +112,20 @@ def role(text: str, phrase: str) -> str:
     return max((r for r in ROLES if f"{r}:" in before), key=lambda r: before.rfind(f"{r}:"))
 
 
-def test_clog_with_ram_flow_is_contested() -> None:
+def test_clog_with_ram_flow_is_contested():
     loss = np.where(FLIGHT < 60, 0.03, 0.3)
     (alert,) = alerts(features(loss, ram_flow_loss=0.0), NOTHING).to_dicts()
     assert alert["diagnosis"] == "HX_SUDDEN_CLOG"
     assert role(alert["evidence"], "no blockage") == "Against"
 
 
-def test_diagnoses_are_listed_everywhere() -> None:
+def test_diagnoses_are_listed_everywhere():
     listed = str((FeaturesAlerts.columns()["diagnosis"].metadata or {})["meaning"])
     check = (Path(__file__).parents[3] / "sql/checks/alerts_in_disorder.sql").read_text()
     assert all(code in listed and f"'{code}'" in check for code in DIAGNOSES)
 
 
-def test_diagnoses_name_their_task() -> None:
+def test_diagnoses_name_their_task():
     assert all(d.code == code and d.name and "ATA 21-" in d.action for code, d in DIAGNOSES.items())
 
 
@@ -148,21 +148,21 @@ def fouling_trials(limit_trials: list[Trial]) -> list[Trial]:
     return [t for t in limit_trials if t.diagnosis == "HX_FOULING"]
 
 
-def test_tried_limits_are_as_declared() -> None:
+def test_tried_limits_are_as_declared():
     assert [values for _, values in VALUES.values()] == [
         (0.10, 0.125, 0.15, 0.20, 0.25), (0.07, 0.10, 0.15, 0.20), (0.70, 0.80, 0.90, 0.95, 0.98),
         (0.03, 0.04, 0.05, 0.07), (0.9, 1.3, 1.8, 2.5),
     ]  # fmt: skip
 
 
-def test_limit_in_service_raises_same_alerts(limit_trials: list[Trial]) -> None:
+def test_limit_in_service_raises_same_alerts(limit_trials: list[Trial]):
     in_service = {t.diagnosis: t.alerts for t in limit_trials if t.in_service}
     expected = alerts(THREE_PACKS, NOTHING).sort("alert_id")
     assert set(in_service) == set(VALUES)
     assert all(in_service[code].sort("alert_id").equals(expected) for code in set(VALUES) - {"RAM_DOOR_FAULT"})
 
 
-def test_lower_limit_raises_more_alerts(fouling_trials: list[Trial]) -> None:
+def test_lower_limit_raises_more_alerts(fouling_trials: list[Trial]):
     limits = [t.value for t in fouling_trials]
     packs = [set(t.alerts["tail"]) for t in fouling_trials]
     assert limits == sorted(limits)
@@ -170,7 +170,7 @@ def test_lower_limit_raises_more_alerts(fouling_trials: list[Trial]) -> None:
     assert len(packs[-1]) < len(packs[0])
 
 
-def test_lower_limit_raises_earlier(fouling_trials: list[Trial]) -> None:
+def test_lower_limit_raises_earlier(fouling_trials: list[Trial]):
     raised = [t.alerts.filter(tail="T-2")["raised_at"].min() for t in fouling_trials]
     assert raised == sorted(raised)
 
@@ -198,12 +198,12 @@ def worn(after: float) -> np.ndarray:
     [(LOOKED_AFTER, departure(LOOKED_AFTER)), (FLIGHTS, departure(FLIGHTS) - timedelta(minutes=5))],
     ids=["before a flight", "after the last"],
 )
-def test_clean_finding_closes_alert(at: int, closed_at: datetime) -> None:
+def test_clean_finding_closes_alert(at: int, closed_at: datetime):
     """At once, and for as long as the loss stays."""
     assert closings(alerts(features(worn(0.0)), inspection(at))) == [(closed_at, "found_clean")]
 
 
-def test_clean_finding_changes_closing_only() -> None:
+def test_clean_finding_changes_closing_only():
     rows = features(worn(0.1)).head(LOOKED_AFTER)
     inspected, other = (alerts(rows, log).drop("closed_at", "closed_reason") for log in (inspection(), NOTHING))
     assert inspected.equals(other)
@@ -215,7 +215,7 @@ def contradiction() -> list[dict[str, object]]:
     return alerts(features(worn(0.1)), inspection()).to_dicts()
 
 
-def test_growing_loss_returns_as_sensor_fault(contradiction: list[dict[str, object]]) -> None:
+def test_growing_loss_returns_as_sensor_fault(contradiction: list[dict[str, object]]):
     first, second = contradiction
     expected = {
         "diagnosis": "SENSOR_FAULT", "component": "SENSOR", "follows": first["alert_id"], "closed_at": None,
@@ -232,16 +232,16 @@ def test_growing_loss_returns_as_sensor_fault(contradiction: list[dict[str, obje
         ("recommended_action", "neither wash nor new part yet"),
     ],
 )  # fmt: skip
-def test_contradiction_asks_for_sensor_check(contradiction, column: str, words: str) -> None:
+def test_contradiction_asks_for_sensor_check(contradiction, column: str, words: str):
     assert words in contradiction[1][column]
 
 
-def test_growth_in_one_spell_is_one_case() -> None:
+def test_growth_in_one_spell_is_one_case():
     cases = alerts(features(worn(0.25)), inspection())
     assert cases["diagnosis"].to_list() == ["HX_FOULING", "SENSOR_FAULT"]
 
 
-def test_growth_by_limit_is_wear() -> None:
+def test_growth_by_limit_is_wear():
     """After a gap in which the belief ends, and comes back higher."""
     loss = np.where((FLIGHT > LOOKED_AFTER) & (FLIGHT < LOOKED_AFTER + 30), 0.0, worn(0.25))
     cases = alerts(features(loss).with_columns(hx_fouling_step_3=pl.lit(0.0)), inspection())
@@ -249,7 +249,7 @@ def test_growth_by_limit_is_wear() -> None:
 
 
 @pytest.mark.parametrize(("growth", "n_contradictions"), [(0.031, 1), (0.029, 0)])
-def test_three_points_contradict_inspection(growth: float, n_contradictions: int) -> None:
+def test_three_points_contradict_inspection(growth: float, n_contradictions: int):
     """On three flights of four."""
     cases = alerts(features(np.where(FLIGHT < LOOKED_AFTER + 5, worn(0.0), LOSS_THEN + growth)), inspection())
     assert cases["diagnosis"].to_list() == ["HX_FOULING"] + ["SENSOR_FAULT"] * n_contradictions
@@ -259,32 +259,32 @@ def test_three_points_contradict_inspection(growth: float, n_contradictions: int
 
 
 @pytest.mark.parametrize(("after", "closing"), [(0.0149, (departure(84), "recovered")), (0.0151, (None, None))])
-def test_contradiction_recovers_below_half(after: float, closing: tuple) -> None:
+def test_contradiction_recovers_below_half(after: float, closing: tuple):
     """A contradiction lasts fifteen flights after the loss was last above half of the three points."""
     loss = np.where(FLIGHT < 65, worn(0.0), np.where(FLIGHT < 70, 0.25, LOSS_THEN + after))
     assert closings(alerts(features(loss), inspection()))[1] == closing
 
 
 @pytest.mark.parametrize(("growth", "wear"), [(0.151, True), (0.149, False)])
-def test_wear_returns_above_whole_limit(growth: float, wear: bool) -> None:
+def test_wear_returns_above_whole_limit(growth: float, wear: bool):
     loss = np.where(FLIGHT < LOOKED_AFTER, worn(0.0), np.where(FLIGHT < 80, 0.0, LOSS_THEN + growth))
     cases = alerts(features(loss).with_columns(hx_fouling_step_3=pl.lit(0.0)), inspection())
     assert ("HX_FOULING" in cases["diagnosis"].to_list()[1:]) is wear
 
 
 @pytest.mark.parametrize("finding", [None, "FOULED"])
-def test_other_findings_close_nothing(finding: str | None) -> None:
+def test_other_findings_close_nothing(finding: str | None):
     assert closings(alerts(features(worn(0.1)), inspection(finding=finding))) == [(None, None)]
 
 
 @pytest.mark.parametrize("component", ["HX", "SENSOR"])
-def test_renewal_closes_sensor_case(component: str) -> None:
+def test_renewal_closes_sensor_case(component: str):
     loss = np.where((component == "HX") & (FLIGHT >= 90), 0.0, worn(0.1))
     cases = alerts(features(loss), pl.concat([inspection(), work_before(90, component)], how="diagonal"))
     assert closings(cases) == [(departure(LOOKED_AFTER), "found_clean"), (departure(90), "renewed")]
 
 
-def test_next_unit_wears_by_itself() -> None:
+def test_next_unit_wears_by_itself():
     log = pl.concat([inspection(), work_before(80), work_before(95)])
     loss = worn(0.0) + np.where(FLIGHT < 85, 0.0, 0.05)
     assert alerts(features(loss), log)["diagnosis"].to_list() == ["HX_FOULING"] * 2
@@ -293,13 +293,13 @@ def test_next_unit_wears_by_itself() -> None:
 LOW_MARGIN = features(np.full(FLIGHTS, 0.05), hx_passage_300=np.full(FLIGHTS, 0.99), hx_margin_k=np.full(FLIGHTS, 1.0))
 
 
-def test_clean_finding_leaves_low_margin() -> None:
+def test_clean_finding_leaves_low_margin():
     """Little margin is not what an exchanger's inspection is about."""
     cases = alerts(LOW_MARGIN, inspection())
     assert cases.select("diagnosis", "closed_at").rows() == [("HX_LOW_MARGIN", None)]
 
 
-def test_named_closing_ends_low_margin() -> None:
+def test_named_closing_ends_low_margin():
     """An engineer says so of that very alert, though its id is another since."""
     closed = {"closes_alert_id": "another id", "closes_diagnosis": "HX_LOW_MARGIN", "closes_sensor": None}
     assert alerts(LOW_MARGIN, inspection(**closed))["closed_reason"].to_list() == ["found_clean"]
@@ -310,7 +310,7 @@ LATE_WEAR = features(0.01 + 0.005 * np.maximum(np.arange(4 * 110) - 4 * 98, 0))
 
 
 @pytest.mark.parametrize(("days", "units"), [((30, 60), 3), ((1, 60), 2), ((60,), 2), ((), 1)])
-def test_third_unit_asks_for_cause(days: tuple[int, ...], units: int) -> None:
+def test_third_unit_asks_for_cause(days: tuple[int, ...], units: int):
     log = pl.concat([NOTHING, *(work(departure(4 * day), timed=True) for day in days)])
     (alert,) = alerts(LATE_WEAR, log).to_dicts()
     assert alert["units_in_90_days"] == units
@@ -318,13 +318,13 @@ def test_third_unit_asks_for_cause(days: tuple[int, ...], units: int) -> None:
 
 
 @pytest.mark.parametrize(("late_s", "units"), [(0, 2), (1, 3)])
-def test_units_count_over_ninety_days(late_s: int, units: int) -> None:
+def test_units_count_over_ninety_days(late_s: int, units: int):
     raised = alerts(LATE_WEAR, NOTHING)["raised_at"][0]
     log = [work(raised - timedelta(days=90, seconds=-late_s), timed=True), work(departure(4 * 60), timed=True)]
     assert alerts(LATE_WEAR, pl.concat(log))["units_in_90_days"].to_list() == [units]
 
 
-def test_later_units_do_not_count() -> None:
+def test_later_units_do_not_count():
     log = pl.concat([work(departure(4 * day), timed=True) for day in (60, 108)])
     assert alerts(LATE_WEAR, log).select("closed_reason", "units_in_90_days").rows() == [("renewed", 2)]
 
@@ -342,7 +342,7 @@ def since_night(*moments: datetime, pack: int = 1) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize(("late_s", "is_closed"), [(0, False), (1, True)])
-def test_only_later_work_closes_alert(open_alert: pl.DataFrame, late_s: int, is_closed: bool) -> None:
+def test_only_later_work_closes_alert(open_alert: pl.DataFrame, late_s: int, is_closed: bool):
     done = open_alert["raised_at"][0] + timedelta(seconds=late_s)
 
     alert = alerts_now(open_alert, NO_LOG, since_night(done))
@@ -350,7 +350,7 @@ def test_only_later_work_closes_alert(open_alert: pl.DataFrame, late_s: int, is_
     assert alert["closed_at"].is_not_null().to_list() == [is_closed]
 
 
-def test_first_later_work_closes_alert(open_alert: pl.DataFrame) -> None:
+def test_first_later_work_closes_alert(open_alert: pl.DataFrame):
     first = open_alert["raised_at"][0] + timedelta(days=1)
 
     alert = alerts_now(open_alert, NO_LOG, since_night(first + timedelta(days=1), first))
@@ -358,7 +358,7 @@ def test_first_later_work_closes_alert(open_alert: pl.DataFrame) -> None:
     assert alert["closed_at"].to_list() == [first]
 
 
-def test_later_work_keeps_closing_time(open_alert: pl.DataFrame) -> None:
+def test_later_work_keeps_closing_time(open_alert: pl.DataFrame):
     end = open_alert["raised_at"][0] + timedelta(days=1)
     ended = open_alert.with_columns(closed_at=pl.lit(end, open_alert.schema["closed_at"]))
 
@@ -367,7 +367,7 @@ def test_later_work_keeps_closing_time(open_alert: pl.DataFrame) -> None:
     assert alert["closed_at"].to_list() == [end]
 
 
-def test_other_pack_work_closes_nothing(open_alert: pl.DataFrame) -> None:
+def test_other_pack_work_closes_nothing(open_alert: pl.DataFrame):
     done = open_alert["raised_at"][0] + timedelta(days=1)
 
     alert = alerts_now(open_alert, NO_LOG, since_night(done, pack=2))

@@ -71,18 +71,18 @@ def diagnoses(out: pl.DataFrame) -> list[tuple[int, str]]:
     return out.select("pack", "diagnosis").rows()
 
 
-def test_sound_aircraft_raises_nothing(samples, nothing_done) -> None:
+def test_sound_aircraft_raises_nothing(samples, nothing_done):
     out = alerts_with_loss(samples, nothing_done)
     assert out.height == 0
     assert FeaturesAlerts.faults(out) == []
 
 
-def test_unrecorded_columns_raise_nothing(samples, nothing_done) -> None:
+def test_unrecorded_columns_raise_nothing(samples, nothing_done):
     without = samples.with_columns(pl.lit(None, pl.Float64).alias(c) for c in ("cc_out_k", "cc_flow_kg_s"))
     assert alerts_with_loss(without, nothing_done).height == 0
 
 
-def test_no_flights_raise_nothing(samples, nothing_done) -> None:
+def test_no_flights_raise_nothing(samples, nothing_done):
     assert raise_alerts(track(samples, {}).clear(), nothing_done).height == 0
     assert cross_checks(samples.clear()).height == 0
 
@@ -93,7 +93,7 @@ def fouled(samples) -> pl.DataFrame:
     return track(samples, {1: 0.1 + 0.0012 * FLIGHT})
 
 
-def test_fouling_raises_one_alert(samples, nothing_done, fouled) -> None:
+def test_fouling_raises_one_alert(samples, nothing_done, fouled):
     out = alerts_of(samples, fouled, nothing_done)
     raised = fouled.filter(pl.col("flight_id") == out["raised_flight_id"][0])["value"].max()
     assert out.select("diagnosis", "closed_at").rows() == [("HX_FOULING", None)]
@@ -102,24 +102,24 @@ def test_fouling_raises_one_alert(samples, nothing_done, fouled) -> None:
     assert FeaturesAlerts.faults(out) == []
 
 
-def test_operators_tails_are_apart(samples, nothing_done, fouled) -> None:
+def test_operators_tails_are_apart(samples, nothing_done, fouled):
     """Two operators have a tail of the same name."""
     both = (pl.concat([rows, rows.with_columns(operator=pl.lit("TSU"))]) for rows in (samples, fouled))
     assert alerts_of(*both, nothing_done)["operator"].to_list() == ["TST", "TSU"]
 
 
-def test_clog_is_raised_within_three_flights(samples, nothing_done) -> None:
+def test_clog_is_raised_within_three_flights(samples, nothing_done):
     out = alerts_with_loss(samples, nothing_done, pack_2=np.where(FLIGHT >= 60, 0.32, 0.04))
     assert out.select("pack", "diagnosis", "severity").rows() == [(2, "HX_SUDDEN_CLOG", "high")]
     assert out["raised_at"][0] <= when(samples, 63)
 
 
-def test_wavering_loss_is_one_case(samples, nothing_done) -> None:
+def test_wavering_loss_is_one_case(samples, nothing_done):
     loss = 0.16 + 0.008 * np.random.default_rng(0).standard_normal(FLIGHTS)
     assert alerts_with_loss(samples, nothing_done, pack_1=loss).height == 1
 
 
-def test_new_unit_closes_case(samples, nothing_done) -> None:
+def test_new_unit_closes_case(samples, nothing_done):
     """Though the track takes some flights to come down."""
     loss = np.where(FLIGHT < 50, 0.006 * FLIGHT, 0.3 * np.exp(-(FLIGHT - 50) / 3.0))
     entry = {"operator": "TST", "tail": "T-AAA", "pack": 1, "done_on": when(samples, 50).date(), "component": "HX"}
@@ -128,7 +128,7 @@ def test_new_unit_closes_case(samples, nothing_done) -> None:
     assert out["closed_at"].is_not_null().to_list() == [True]
 
 
-def test_jam_is_door_fault_only(samples, nothing_done) -> None:
+def test_jam_is_door_fault_only(samples, nothing_done):
     noise = 0.005 * (pl.int_range(pl.len()) % 3 - 1)
     warm = pl.col("hx_out_k") + pl.col("altitude_m") / 900 - 6
     jammed = alter(samples, fault(samples, 1, 50, 70), ram_door_open=0.4 + noise, hx_out_k=warm)
@@ -146,7 +146,7 @@ def test_jam_is_door_fault_only(samples, nothing_done) -> None:
         ("cc_flow_kg_s", -0.08, 8), ("tat_k", 2.0, 6), ("total_pressure_pa", 400.0, 6),
     ],
 )  # fmt: skip
-def test_shifted_sensor_is_named(samples, nothing_done, signal: str, change: float, within: int) -> None:
+def test_shifted_sensor_is_named(samples, nothing_done, signal: str, change: float, within: int):
     shifted = alter(samples, fault(samples, 2, 50), **{signal: pl.col(signal) + change})
     effect = {"hx_out_k": 0.028, "pack_flow_kg_s": -1.9, "tat_k": -0.02}.get(signal, 0.0)
     out = alerts_with_loss(shifted, nothing_done, pack_2=np.where(FLIGHT >= 50, 0.02 + effect * change, 0.02))
@@ -156,7 +156,7 @@ def test_shifted_sensor_is_named(samples, nothing_done, signal: str, change: flo
     assert when(samples, 50) <= out["raised_at"][0] <= when(samples, 50 + within)
 
 
-def test_sensor_fault_leaves_other_packs_wear(samples, nothing_done) -> None:
+def test_sensor_fault_leaves_other_packs_wear(samples, nothing_done):
     shifted = alter(samples, fault(samples, 2, 40), hx_out_k=pl.col("hx_out_k") - 4.0)
     out = alerts_with_loss(shifted, nothing_done, pack_1=np.clip(0.01 * (FLIGHT - 45), 0.0, 0.2))
     past = 45 + int(100 * Limits().fouling)
@@ -164,7 +164,7 @@ def test_sensor_fault_leaves_other_packs_wear(samples, nothing_done) -> None:
     assert when(samples, past) <= out["raised_at"][1] <= when(samples, past + 6)
 
 
-def test_common_probe_is_named_on_both(samples, nothing_done) -> None:
+def test_common_probe_is_named_on_both(samples, nothing_done):
     late = pl.col("time_utc") - when(samples, 40)
     drifting = alter(samples, late >= timedelta(0), tat_k=pl.col("tat_k") + 0.1 * late.dt.total_hours() / 6.0)
     out = alerts_with_loss(drifting, nothing_done)
@@ -183,14 +183,14 @@ def test_common_probe_is_named_on_both(samples, nothing_done) -> None:
         ("pack_flow_kg_s", "pack_over_compressor_flow_ln", -0.07, True),
     ],
 )
-def test_flattering_sensor_excuses_no_wear(sensor, channel, shift, feigned) -> None:
+def test_flattering_sensor_excuses_no_wear(sensor, channel, shift, feigned):
     # by heat balance: an outlet that reads cold, an inlet, TAT or flow that reads high show too good a core
     facts = {"sensor": sensor, "channel": channel, "moved": shift, "biased": True}
     assert may_feign_wear(Case(0, "SENSOR", "SENSOR_FAULT", 5, None, facts)) == feigned
 
 
 @pytest.mark.parametrize("kind", ["frozen", "empty", "nulled"])
-def test_silent_sensor_alert_closes_with_readings(samples, nothing_done, kind: str) -> None:
+def test_silent_sensor_alert_closes_with_readings(samples, nothing_done, kind: str):
     every_second = pl.when(pl.int_range(pl.len()) % 2 == 1).then("pack_flow_kg_s")
     value = {"frozen": 0.83, "empty": every_second, "nulled": None}[kind]
     silent = alter(samples, fault(samples, 1, 50, 60), pack_flow_kg_s=value)
@@ -201,7 +201,7 @@ def test_silent_sensor_alert_closes_with_readings(samples, nothing_done, kind: s
     assert states_everything(out)
 
 
-def test_alerts_ignore_later_flights(samples, nothing_done) -> None:
+def test_alerts_ignore_later_flights(samples, nothing_done):
     shifted = alter(samples, fault(samples, 2, 50), hx_out_k=pl.col("hx_out_k") + 4.0)
     health = track(shifted, {1: 0.004 * FLIGHT})
     whole = alerts_of(shifted, health, nothing_done)
@@ -213,7 +213,7 @@ def test_alerts_ignore_later_flights(samples, nothing_done) -> None:
         assert part.select(stays).rows() == whole.filter(pl.col("raised_at") < cut).select(stays).rows()
 
 
-def test_door_at_lower_stop_is_sound(samples, nothing_done) -> None:
+def test_door_at_lower_stop_is_sound(samples, nothing_done):
     """Types differ in where the door rests: at 12 % it does so in cold air, from climb to descent."""
     stop = 0.12 + 0.005 * (pl.int_range(pl.len()) % 3 - 1)
     cold = samples["time_utc"].is_between(when(samples, 40), when(samples, 60))
@@ -224,7 +224,7 @@ def test_door_at_lower_stop_is_sound(samples, nothing_done) -> None:
 
 
 @pytest.mark.parametrize(("excess_k", "raised"), [(6.0, True), (0.6, False)])
-def test_warm_stop_is_lost_travel(samples, nothing_done, excess_k, raised) -> None:
+def test_warm_stop_is_lost_travel(samples, nothing_done, excess_k, raised):
     """One flight is enough where the outlet is far above its target."""
     wide = samples.with_columns(ram_door_open=3.0 * pl.col("ram_door_open"))
     reach = 0.8 * wide["ram_door_open"].max()
@@ -257,12 +257,12 @@ def sensor_faults(samples: pl.DataFrame, maintenance: pl.DataFrame, loss: dict, 
     ],
     ids=["inlet reads high", "inlet reads low", "door reads high"],
 )
-def test_model_checks_name_sensor(samples, nothing_done, shifts, words) -> None:
+def test_model_checks_name_sensor(samples, nothing_done, shifts, words):
     out = sensor_faults(samples, nothing_done, {}, shifts)
     assert out["pack"].to_list() == [1]
     assert words in out["recommended_action"][0]
 
 
-def test_blockage_is_no_sensor_fault(samples, nothing_done) -> None:
+def test_blockage_is_no_sensor_fault(samples, nothing_done):
     shifts = {"w_hx_in_over_discharge_k": 2.5, "w_conductance_off_cruise_ln": 0.02, "hx_fouling_flight": 0.15}
     assert sensor_faults(samples, nothing_done, {1: np.where(FLIGHT >= 50, 0.12, 0.0)}, shifts).height == 0

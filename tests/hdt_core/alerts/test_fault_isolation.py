@@ -36,7 +36,7 @@ def test_median_z_matches_numpy(flights):
         assert np.isnan(middle[k]) if not values.size else middle[k] == np.median(values) * np.sqrt(worth[k])
 
 
-def test_doubt_at_record_end_stays_open() -> None:
+def test_doubt_at_record_end_stays_open():
     """The last aircraft has the shorter record: what the grid holds beyond it is padding and no flight."""
     grid = grid_of(
         [(tail, f, p) for tail, flights in (("T-1", 60), ("T-2", 30)) for f in range(flights) for p in (1, 2)]
@@ -95,7 +95,7 @@ LATE_FLIGHTS = pytest.mark.parametrize(("k", "first"), [(40, 40), (45, 40), (55,
 
 
 @LATE_FLIGHTS
-def test_shifts_are_medians_of_late_flights(k: int, first: int) -> None:
+def test_shifts_are_medians_of_late_flights(k: int, first: int):
     grid, shift, loss = recorded_shifts()
     if k == 40:
         loss[:, 37:40] = np.nan  # one late flight is known
@@ -107,13 +107,13 @@ def test_shifts_are_medians_of_late_flights(k: int, first: int) -> None:
 
 
 @LATE_FLIGHTS
-def test_lone_pack_has_own_half_only(k: int, first: int) -> None:
+def test_lone_pack_has_own_half_only(k: int, first: int):
     (shifts,), (worth,) = Indications(*recorded_shifts(), np.array([-1, -1])).shifts_at(0, np.array([k]), first)
     assert np.isnan(shifts[16:]).all()
     assert worth[16:].tolist() == [1.0] * 16
 
 
-def test_same_time_counts_flown_flights() -> None:
+def test_same_time_counts_flown_flights():
     grid, shift, loss = recorded_shifts()
     indications = Indications(grid, shift, loss, grid.partner())
     assert indications.same_time(0, np.array([2, 3, 4]), 1).tolist() == [2, 2, 3]
@@ -129,7 +129,7 @@ def isolate_with(monkeypatch, classify: object, end: int | None = None) -> tuple
     return Indications(grid, shift, np.zeros((2, 150)), grid.partner()).isolate(4, (0, 20, end)) or (None, {})
 
 
-def test_sensor_is_named_at_95_percent(monkeypatch) -> None:
+def test_sensor_is_named_at_95_percent(monkeypatch):
     def classify(k: int) -> list[tuple[str, str, float]]:
         mine = 0.951 if k >= 30 else 0.949
         return [("mach", "own", mine - 0.1), ("tat_k", "both", 0.1), ("hx", "own", 0.03), ("nothing", "own", 0.01)]
@@ -143,7 +143,7 @@ def test_sensor_is_named_at_95_percent(monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("p", "from_flight", "flight"), [(0.991, 20, None), (0.989, 20, 40), (0.991, 26, None), (0.991, 24, 40)]
 )
-def test_other_packs_sensor_ends_search(monkeypatch, p, from_flight, flight) -> None:
+def test_other_packs_sensor_ends_search(monkeypatch, p, from_flight, flight):
     """From the sixth flight on, at a probability of 99 %."""
 
     def classify(k: int) -> list[tuple[str, str, float]]:
@@ -156,7 +156,7 @@ def test_other_packs_sensor_ends_search(monkeypatch, p, from_flight, flight) -> 
 @pytest.mark.parametrize(
     ("sure_at", "end", "flight"), [(119, None, 119), (120, None, None), (59, 60, 59), (60, 60, None)]
 )
-def test_search_ends_after_hundred_flights(monkeypatch, sure_at, end, flight) -> None:
+def test_search_ends_after_hundred_flights(monkeypatch, sure_at, end, flight):
     assert isolate_with(monkeypatch, lambda k: [("mach", "own", 0.96 * (k >= sure_at))], end)[0] == flight
 
 
@@ -175,7 +175,7 @@ def expected_shifts(k: int, size: float, rng: np.random.Generator) -> np.ndarray
 
 @pytest.mark.parametrize("k", SENSORS, ids=lambda k: "-".join(SIGNATURES.names[k]))
 @pytest.mark.parametrize("size", [-1.0, 1.0])
-def test_classifier_names_sensor_of_pack(k: int, size: float) -> None:
+def test_classifier_names_sensor_of_pack(k: int, size: float):
     rng = np.random.default_rng(k)
     hits = [classify(expected_shifts(k, size, rng), FLIGHTS)[0][:2] == SIGNATURES.names[k] for _ in range(20)]
     # what only the hot inlet's law sees may be its own sensor or the discharge's
@@ -183,26 +183,26 @@ def test_classifier_names_sensor_of_pack(k: int, size: float) -> None:
 
 
 @pytest.mark.parametrize("sensor", ["hx_in_k", "ram_door_open"])
-def test_inlet_or_door_is_not_wear(sensor: str) -> None:
+def test_inlet_or_door_is_not_wear(sensor: str):
     z = expected_shifts(SIGNATURES.names.index((sensor, "own")), 1.0, np.random.default_rng(1))
     blamed = sum(p for name, whose, p in classify(z, FLIGHTS) if name not in NO_SENSOR and whose != "other")
     assert blamed > 0.95
 
 
-def test_ambiguous_outlet_is_not_named() -> None:
+def test_ambiguous_outlet_is_not_named():
     """Left against right alone can't tell whose outlet it is."""
     z = np.full(SIGNATURES.shift.shape[1], np.nan)
     z[AT["hx_out_between_packs_k"]] = 12.0
     assert classify(z, FLIGHTS)[0][2] == pytest.approx(0.5, abs=0.02)
 
 
-def test_probabilities_sum_to_one() -> None:
+def test_probabilities_sum_to_one():
     z = 5.0 * SIGNATURES.shift[0]
     z[3:] = np.nan
     assert sum(p for _, _, p in classify(z, FLIGHTS)) == pytest.approx(1.0)
 
 
-def test_chance_is_no_fault() -> None:
+def test_chance_is_no_fault():
     rng = np.random.default_rng(3)
     quiet = [classify(rng.standard_normal(SIGNATURES.shift.shape[1]), FLIGHTS) for _ in range(50)]
     assert max(sum(p for name, _, p in one if name not in NO_SENSOR) for one in quiet) < 0.5
@@ -245,7 +245,7 @@ def posterior_by_hand(z: np.ndarray, flights: float) -> dict[tuple[str, str], fl
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_posterior_follows_bayes_rule(seed: int) -> None:
+def test_posterior_follows_bayes_rule(seed: int):
     rng = np.random.default_rng(seed)
     z = 2.0 * rng.standard_normal(SIGNATURES.shift.shape[1])
     z[rng.random(z.size) < 0.2] = np.nan
@@ -283,12 +283,12 @@ def read_check(line: str) -> CrossCheck:
     return CrossCheck(name, float(sd), effects, "between" in name, effect_sds, float(wander))
 
 
-def test_signature_matrix_is_as_declared() -> None:
+def test_signature_matrix_is_as_declared():
     declared = [read_check(line) for line in MOVES.strip().splitlines()]
     assert {c.name: c for c in (*CHANNELS, HX_STEP)} == {c.name: c for c in declared}
 
 
-def test_fault_sizes_are_as_declared() -> None:
+def test_fault_sizes_are_as_declared():
     assert SIZES == {
         "tat_k": 3.5, "cc_in_k": 3.5, "total_pressure_pa": 0.03, "cc_in_pa": 0.05, "mach": 0.01,
         "pack_flow_kg_s": 0.07, "cc_flow_kg_s": 0.07, "cc_out_pa": 0.05, "hx_in_k": 4.0, "hx_out_k": 4.0,
@@ -297,7 +297,7 @@ def test_fault_sizes_are_as_declared() -> None:
 
 
 @pytest.mark.parametrize("inlet", [-2.0, 0.0, 3.0])
-def test_exchanger_step_is_no_sensor_fault(inlet: float) -> None:
+def test_exchanger_step_is_no_sensor_fault(inlet: float):
     """A blockage takes ram flow, too, and the hot inlet feels it."""
     z = np.zeros(SIGNATURES.shift.shape[1])
     z[AT["hx_fouling_flight"]] = 12.0

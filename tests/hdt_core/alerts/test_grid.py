@@ -23,23 +23,23 @@ def grid_of(*flown: tuple[str, int, float]) -> Grid:
 LEGS = (("F1", 1, 1.0), ("F1", 2, 2.0), ("F2", 1, 3.0), ("F3", 1, 5.0), ("F3", 2, 6.0))
 
 
-def test_across_reads_other_pack() -> None:
+def test_across_reads_other_pack():
     grid = grid_of(*LEGS)
     np.testing.assert_array_equal(grid.across(grid.values("x")), [[2.0, np.nan, 6.0], [1.0, 5.0, np.nan]])
     assert grid.across(grid.values("x") > 2.0).tolist() == [[False, False, True], [False, True, False]]
 
 
-def test_grid_counts_flights_of_packs() -> None:
+def test_grid_counts_flights_of_packs():
     grid = grid_of(*LEGS)
     assert (grid.partner().tolist(), grid.count(0), grid.count(1)) == ([1, 0], 3, 2)
 
 
-def test_lone_pack_has_no_partner() -> None:
+def test_lone_pack_has_no_partner():
     one = grid_of(LEGS[0])
     assert (one.shape, one.is_flight.tolist(), one.partner().tolist()) == ((1, 1), [[True]], [-1])
 
 
-def test_grid_of_no_flights_is_empty() -> None:
+def test_grid_of_no_flights_is_empty():
     assert grid_of().shape == (0, 0)
 
 

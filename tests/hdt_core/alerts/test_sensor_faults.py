@@ -158,11 +158,11 @@ def case(raised: int, closed: int | None = None, unit: int = 0, sensor: str = "m
         (case(50, unit=1), False),
     ],
 )  # fmt: skip
-def test_echo_is_within_twelve_flights(shift: Case, echo: bool) -> None:
+def test_echo_is_within_twelve_flights(shift: Case, echo: bool):
     assert disturbances._repeats(shift, [case(50, 50)]) is echo
 
 
-def test_open_silence_has_later_echoes() -> None:
+def test_open_silence_has_later_echoes():
     assert disturbances._repeats(case(90), [case(50)])
 
 
@@ -182,7 +182,7 @@ def merge(*cases: Case) -> list[tuple[int, str, int, int | None]]:
         ((case(50, p=0.96), case(50, sensor="tat_k", p=0.97)), [(0, "tat_k", 50, None)]),
     ],
 )
-def test_surer_name_stands_within_twelve_flights(cases, merged) -> None:
+def test_surer_name_stands_within_twelve_flights(cases, merged):
     assert merge(*cases) == merged
 
 
@@ -195,7 +195,7 @@ def test_surer_name_stands_within_twelve_flights(cases, merged) -> None:
         ((case(50, 60), case(73, 80)), [(0, "mach", 50, 60), (0, "mach", 73, 80)]),
     ],
 )
-def test_same_sensor_continues_its_case(cases, merged) -> None:
+def test_same_sensor_continues_its_case(cases, merged):
     assert merge(*cases) == merged
 
 
@@ -213,7 +213,7 @@ def inlet_case(raised: int, closed: int | None = None, unit: int = 0) -> Case:
         ((case(50), case(55, unit=1)), [(0, "mach", 50, None), (1, "mach", 55, None)]),
     ],
 )
-def test_packs_share_common_probe_only(cases, merged) -> None:
+def test_packs_share_common_probe_only(cases, merged):
     assert merge(*cases) == merged
 
 
@@ -236,7 +236,7 @@ def watch_calls(monkeypatch) -> list[tuple[np.ndarray, np.ndarray]]:
         ("RAM_DOOR", "hx_out_minus_target_k", [50]), ("RAM_DOOR", "inlet_minus_tat_k", []),
     ],
 )  # fmt: skip
-def test_work_restarts_checks_of_unit(watch_calls, component: str, column: str, restarts: list[int]) -> None:
+def test_work_restarts_checks_of_unit(watch_calls, component: str, column: str, restarts: list[int]):
     mach_cases(work_before(50, component), **checks())
     new = watch_calls[0][1][0, :, [c.name for c in CHANNELS].index(column)]
     assert new.nonzero()[0].tolist() == restarts
@@ -245,7 +245,7 @@ def test_work_restarts_checks_of_unit(watch_calls, component: str, column: str, 
 CALM = {f"w_{c.name}": 0.0 for c in CHANNELS} | RUNNING
 
 
-def test_faulty_flights_are_no_evidence(watch_calls) -> None:
+def test_faulty_flights_are_no_evidence(watch_calls):
     """Doors at fault and silent sensors say nothing."""
     door = (FLIGHT >= 60)[None]
     jam = (FLIGHT >= 70)[None]
@@ -257,7 +257,7 @@ def test_faulty_flights_are_no_evidence(watch_calls) -> None:
     assert silent == {name: (flight <= FLIGHT).tolist() for name, flight in first.items()}
 
 
-def test_other_packs_silence_hushes_comparison(watch_calls) -> None:
+def test_other_packs_silence_hushes_comparison(watch_calls):
     """It hushes the check between the packs and no other."""
     columns = CALM | {"tat_k_lost_share": 0.0}
     none = np.zeros((2, FLIGHTS), dtype=bool)

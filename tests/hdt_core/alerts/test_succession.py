@@ -65,7 +65,7 @@ def cases(log: list[dict], now: list[dict]) -> dict[str, tuple[str, str]]:
         pytest.param([[(9, 20)], [(5, 20)], [(5, 8), (9, 20)]], {"day 5": "day 9", "day 9": "new 1"}, id="taken name"),
     ],
 )
-def test_case_follows_nearest_alert(nights: list[list[Span]], expected: dict[str, str]) -> None:
+def test_case_follows_nearest_alert(nights: list[list[Span]], expected: dict[str, str]):
     alerts_by_night = [alerts(*spans) for spans in nights]
     names = cases(log_of(*alerts_by_night), alerts_by_night[-1])
     assert {alert_id: case_id for case_id, alert_id in names.values()} == expected
@@ -74,14 +74,14 @@ def test_case_follows_nearest_alert(nights: list[list[Span]], expected: dict[str
 @pytest.mark.parametrize(
     "other", [{"pack": 2}, {"diagnosis": "HX_LOW_MARGIN"}, {"sensor": "hx_out_k"}, {"tail": "T-2"}]
 )
-def test_other_trouble_is_another_case(other: dict) -> None:
+def test_other_trouble_is_another_case(other: dict):
     before = alerts((9, None), sensor="hx_in_k")
     now = alerts((8, None), **{"sensor": "hx_in_k"} | other)
     assert cases(log_of(before, now), now) == {"day 8": ("day 8", "day 8")}
 
 
 @pytest.mark.parametrize(("day", "case_id"), [(12, "old"), (4, "day 9")])
-def test_undated_line_follows_open_alert(day: int, case_id: str) -> None:
+def test_undated_line_follows_open_alert(day: int, case_id: str):
     """What it was about is gone; it was written, or the work done, while the alert of that kind was open."""
     done = {"done_on": (START + timedelta(days=day)).date()}
     line = OWN | alert("old", 0) | done | {"id": "1", "line": 1, "case_id": "old", "at": START, "kind": "close"}
@@ -97,7 +97,7 @@ nights = st.lists(st.lists(spans, max_size=3, unique_by=lambda s: s[0]), min_siz
 @settings(max_examples=60)
 @example(moves=[[(0, None)], [(3, 4)], [(0, 1)], [(2, None)]])
 @given(nights)
-def test_cases_stay_one_to_one(moves: list[list[Span]]) -> None:
+def test_cases_stay_one_to_one(moves: list[list[Span]]):
     log: list[dict] = []
     for before, now in pairwise(alerts(*night) for night in moves):
         earlier = cases(log, before)

@@ -27,19 +27,19 @@ def count_raised(calls: Flags) -> int:
     return int((calls & ~np.pad(calls, ((0, 0), (1, 0)))[:, :-1]).sum())
 
 
-def test_false_calls_stay_within_budget() -> None:
+def test_false_calls_stay_within_budget():
     """200 packs, 1,000 flights each; eleven channels share a budget of one call in 1,000 flights of an aircraft."""
     raised = count_raised(calls_of(noise(200, 1000)))
     assert 1000 * raised / (200 * 1000) < 1.0 / 11 / 2
 
 
-def test_heavy_tails_stay_within_budget() -> None:
+def test_heavy_tails_stay_within_budget():
     tails = 0.8 * np.random.default_rng(1).standard_t(4, (200, 500)) / np.sqrt(2.0)
     assert count_raised(calls_of(tails)) <= 5
 
 
 @pytest.mark.parametrize(("size", "flights"), [(2.5, 15), (4.0, 5), (6.0, 4)])
-def test_step_is_called_soon(size: float, flights: int) -> None:
+def test_step_is_called_soon(size: float, flights: int):
     values = noise(50, 120)
     values[:, 60:] += size * 0.8
     called = calls_of(values)
@@ -47,12 +47,12 @@ def test_step_is_called_soon(size: float, flights: int) -> None:
     assert called[:, 60 + flights].mean() > 0.9
 
 
-def test_drift_is_called() -> None:
+def test_drift_is_called():
     drifting = noise(50, 400) + 0.1 * np.maximum(np.arange(400) - 100, 0)
     assert calls_of(drifting)[:, 170].all()
 
 
-def test_ageing_is_not_called() -> None:
+def test_ageing_is_not_called():
     """1 K per 1,000 flights."""
     assert calls_of(noise(50, 400) + 0.001 * np.arange(400)).mean() < 0.01
 
@@ -65,17 +65,17 @@ def short_fault() -> NDArray[np.float64]:
     return values
 
 
-def test_end_of_fault_ends_call(short_fault) -> None:
+def test_end_of_fault_ends_call(short_fault):
     called = calls_of(short_fault)
     assert called[:, 80].all()
     assert not called[:, 115:].any()
 
 
-def test_sum_at_limit_is_not_called(short_fault) -> None:
+def test_sum_at_limit_is_not_called(short_fault):
     assert not calls_of(short_fault, Cusum(clear=0.0))[:, 199].all()
 
 
-def test_later_flights_change_no_call() -> None:
+def test_later_flights_change_no_call():
     values = noise(5, 150)
     values[:, 90:] += 3.0
     whole, part = (walk(v) for v in (values, values[:, :100]))
@@ -83,7 +83,7 @@ def test_later_flights_change_no_call() -> None:
     np.testing.assert_array_equal(whole.z[:, :100], part.z)
 
 
-def test_empty_flights_change_no_deviation() -> None:
+def test_empty_flights_change_no_deviation():
     values = noise(3, 60)
     gaps = np.full((3, 120), np.nan)
     gaps[:, ::2] = values
@@ -134,7 +134,7 @@ def walk_by_hand(
 
 
 @pytest.mark.parametrize(("seed", "scatter", "memory"), [(0, 0.8, 60), (1, 0.1, 1000), (2, 2.0, 60), (3, 0.8, 60)])
-def test_cusum_matches_plain_loop(seed: int, scatter: float, memory: int) -> None:
+def test_cusum_matches_plain_loop(seed: int, scatter: float, memory: int):
     rng = np.random.default_rng(seed)
     values = 3.0 + rng.normal(0.0, scatter, 300)
     values[100:130] += 3.0 * max(scatter, 0.6)
@@ -149,14 +149,14 @@ def test_cusum_matches_plain_loop(seed: int, scatter: float, memory: int) -> Non
 
 
 @pytest.mark.parametrize(("z", "first"), [(3.5, [103]), (4.5, [102]), (40.0, [102]), (1.0, [])])
-def test_call_delay_follows_shift(z: float, first: list[int]) -> None:
+def test_call_delay_follows_shift(z: float, first: list[int]):
     """A shift of z raises the sum by z - 1 a flight, 3.5 at most: it passes 8 with flight 8 / (z - 1), rounded up."""
     values = np.where(np.arange(200) < 100, 0.0, 1.0)
     sd = 0.4 * np.sqrt(1.0 + 1.0 / 100.0)  # never believed below half of the expected scatter
     assert calls_of(values[None, :] * z * sd)[0].nonzero()[0][:1].tolist() == first
 
 
-def test_restart_forgets_old_unit() -> None:
+def test_restart_forgets_old_unit():
     values = noise(20, 120)
     values[:, 60:] += 5.0
     new = np.zeros((20, 120, 1), dtype=bool)
@@ -168,11 +168,11 @@ RARE = np.array([[0, 1, 0, 1, 0, 0, 0, 0, 1]], dtype=bool)
 KEEP = np.array([[0, 0, 0, 0, 1, 1, 0, 0, 0]], dtype=bool)
 
 
-def test_persistence_has_hysteresis() -> None:
+def test_persistence_has_hysteresis():
     assert persistent(RARE, 2, 3, 2, keep=KEEP)[0].astype(int).tolist() == [0, 0, 0, 1, 1, 1, 1, 0, 0]
 
 
-def test_restart_empties_window() -> None:
+def test_restart_empties_window():
     ended = np.arange(9)[None] == 3
     assert not persistent(RARE, 2, 3, 2, keep=KEEP, restart=ended).any()
 
@@ -180,11 +180,11 @@ def test_restart_empties_window() -> None:
 EVENTS = np.array([[0, 1, 0, 0, 1]], dtype=bool)
 
 
-def test_since_counts_from_event() -> None:
+def test_since_counts_from_event():
     assert since(EVENTS)[0].tolist() == [10**6, 0, 1, 2, 0]
 
 
-def test_event_lingers() -> None:
+def test_event_lingers():
     assert lingering(EVENTS, 1)[0].tolist() == [False, True, True, False, True]
 
 
@@ -206,7 +206,7 @@ def persistent_by_hand(flags: Flags, keep: Flags, ended: Flags, k: int, n: int, 
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_persistence_matches_plain_loop(seed: int) -> None:
+def test_persistence_matches_plain_loop(seed: int):
     rng = np.random.default_rng(seed)
     for _ in range(60):
         n_flights = int(rng.integers(0, 50))

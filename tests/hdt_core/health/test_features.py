@@ -52,24 +52,24 @@ def replaced(nothing_done) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("n", [10, 30, 100])
-def test_slopes_are_least_squares(nothing_done, n) -> None:
+def test_slopes_are_least_squares(nothing_done, n):
     loss = np.cumsum(np.random.default_rng(0).normal(0.001, 0.004, 120))
     slope = describe(loss, nothing_done)[f"hx_fouling_slope_{n}_per_flight"][-1]
     assert slope == pytest.approx(np.polyfit(np.arange(n), loss[-n:], 1)[0], rel=1e-6)
 
 
-def test_slope_spans_gaps(nothing_done) -> None:
+def test_slope_spans_gaps(nothing_done):
     loss = 0.0001 * np.arange(6000.0)
     loss[5990::3] = np.nan
     assert describe(loss, nothing_done)["hx_fouling_slope_10_per_flight"][-1] == pytest.approx(1e-4, rel=1e-6)
 
 
-def test_slope_needs_four_values(nothing_done) -> None:
+def test_slope_needs_four_values(nothing_done):
     slope = describe(0.001 * np.arange(6.0), nothing_done)["hx_fouling_slope_10_per_flight"].to_list()
     assert slope == [None] * 3 + [pytest.approx(0.001)] * 3
 
 
-def test_recovery_restarts_trend(nothing_done) -> None:
+def test_recovery_restarts_trend(nothing_done):
     """Though no log tells of it."""
     loss = 0.001 * np.arange(100.0) - 0.06 * (np.arange(100) >= 60)
 
@@ -80,7 +80,7 @@ def test_recovery_restarts_trend(nothing_done) -> None:
 
 
 @pytest.mark.parametrize(("fall", "flights"), [(0.99 * DROP, 99), (1.01 * DROP, 100 - 60 - DROP_FLIGHTS)])
-def test_noise_is_no_drop(nothing_done, fall, flights) -> None:
+def test_noise_is_no_drop(nothing_done, fall, flights):
     loss = 0.2 - fall * (np.arange(100) >= 60)
 
     assert describe(loss, nothing_done)["flights_since_drop"][-1] == flights
@@ -101,20 +101,20 @@ def stepped(request) -> np.ndarray:
     return request.param * np.arange(60.0) + noise + 0.1 * (np.arange(60) >= 45)
 
 
-def test_steps_by_hand(nothing_done, stepped) -> None:
+def test_steps_by_hand(nothing_done, stepped):
     """From four flights before the last three on."""
     step = describe(stepped, nothing_done)["hx_fouling_step_3"].to_list()
     assert step[:6] == [None] * 6
     assert step[6:] == pytest.approx([late_step(stepped, k) for k in range(6, 60)], abs=1e-9)
 
 
-def test_jumps_by_hand(nothing_done, stepped) -> None:
+def test_jumps_by_hand(nothing_done, stepped):
     jump = describe(stepped, nothing_done)["hx_fouling_jump_10"].to_list()
     assert jump[:10] == [None] * 10
     assert jump[10:] == pytest.approx((stepped[10:] - stepped[:-10]).tolist())
 
 
-def test_step_needs_two_of_three_flights(nothing_done) -> None:
+def test_step_needs_two_of_three_flights(nothing_done):
     loss = np.full(12, 0.1)
     loss[[8, 10, 11]] = np.nan
     step = describe(loss, nothing_done)["hx_fouling_step_3"]
@@ -122,7 +122,7 @@ def test_step_needs_two_of_three_flights(nothing_done) -> None:
 
 
 @pytest.mark.parametrize(("name", "share"), [("hx_fouling_step_3", 1.0), ("ram_flow_loss_step_3", 0.5)])
-def test_single_flights_step_first(nothing_done, name, share) -> None:
+def test_single_flights_step_first(nothing_done, name, share):
     """The track lags behind flights estimated alone."""
     long = health(np.full(20, 0.1))
     loss = np.where(np.arange(20) >= 18, 0.3, 0.1)
@@ -144,7 +144,7 @@ def twin_rows(long: pl.DataFrame) -> pl.DataFrame:
     return rows.with_columns(pl.lit(v).alias(k) for k, v in TWIN.items())
 
 
-def test_virtual_sensors_by_hand() -> None:
+def test_virtual_sensors_by_hand():
     row = virtual_sensors(twin_rows(health(np.zeros(1)))).row(0, named=True)
     # 80 kW of bleed air at 1,011 J/kg K over 1.2 kg/s of ram air at 1,005
     rise_k = row["ram_outlet_k"] - 250.0
@@ -163,7 +163,7 @@ def test_virtual_sensors_by_hand() -> None:
     )  # fmt: skip
 
 
-def test_virtual_sensors_without_discharge() -> None:
+def test_virtual_sensors_without_discharge():
     """Nor any sample."""
     silent = twin_rows(health(np.zeros(1))).with_columns(efficiency=pl.lit(None, pl.Float64), n_samples=pl.lit(0.0))
     row = virtual_sensors(silent).row(0, named=True)
@@ -190,15 +190,15 @@ def two_packs(nothing_done) -> pl.DataFrame:
         ("flights_seen_of_unit", [0, 1, 2] * 2),
     ],
 )  # fmt: skip
-def test_usage_features_by_hand(two_packs, name, values) -> None:
+def test_usage_features_by_hand(two_packs, name, values):
     assert two_packs[name].to_list() == pytest.approx(values)
 
 
-def test_helper_columns_are_dropped(two_packs) -> None:
+def test_helper_columns_are_dropped(two_packs):
     assert not [name for name in two_packs.columns if name.startswith("other_") or name.endswith("_life")]
 
 
-def test_residual_means_have_names(nothing_done) -> None:
+def test_residual_means_have_names(nothing_done):
     long = health(np.zeros(1))
     row = long.select("operator", "tail", "flight_id", "pack").row(0, named=True)
     values = (("hx_out_k", "sensor_minus_dsm", 3.0), ("hx_out_k", "d", 5.0), ("x", "d", 4.0))
@@ -208,18 +208,18 @@ def test_residual_means_have_names(nothing_done) -> None:
     assert describe_track(long, nothing_done, means).select(names).rows() == [(3.0, 3.0, 4.0, 5.0)]
 
 
-def test_row_order_changes_no_feature(nothing_done) -> None:
+def test_row_order_changes_no_feature(nothing_done):
     loss = np.cumsum(np.random.default_rng(2).normal(0.001, 0.004, 40))
     both = pl.concat([health(loss[::-1].copy(), tail="T-AAB"), health(loss)]).sample(fraction=1.0, shuffle=True, seed=1)
     shuffled = describe_track(both, nothing_done).filter(pl.col("tail") == "T-AAA")
     assert_frame_equal(shuffled, describe(loss, nothing_done))
 
 
-def test_no_flights_have_no_features(nothing_done) -> None:
+def test_no_flights_have_no_features(nothing_done):
     assert describe_track(health(np.zeros(1)).clear(), nothing_done).height == 0
 
 
-def test_new_unit_starts_new_life(replaced) -> None:
+def test_new_unit_starts_new_life(replaced):
     rows = legs_of(health(np.zeros(60)))
     out = since_maintenance(rows.with_columns(pl.lit(0).alias("flight_index")), replaced)
     assert out["hx_life"].to_list() == [0] * 45 + [1] * 15
@@ -231,15 +231,15 @@ def renewed(replaced) -> pl.DataFrame:
     return describe(np.where(np.arange(90) < 45, 0.3, 0.0) + 0.001 * np.arange(90), replaced)
 
 
-def test_age_counts_from_replacement(renewed) -> None:
+def test_age_counts_from_replacement(renewed):
     assert renewed["flights_since_replacement"].to_list() == [None] * 45 + list(range(45))
 
 
-def test_slope_ends_at_replacement(renewed) -> None:
+def test_slope_ends_at_replacement(renewed):
     assert renewed["hx_fouling_slope_100_per_flight"][-1] == pytest.approx(0.001, rel=1e-6)
 
 
-def test_features_ignore_later_flights(replaced) -> None:
+def test_features_ignore_later_flights(replaced):
     loss = np.cumsum(np.random.default_rng(1).normal(0.002, 0.005, 90))
     long = pl.concat([health(loss), health(loss[::-1].copy(), pack=2)])
     early = pl.col("departed_at") < START + timedelta(days=20)
@@ -261,5 +261,5 @@ def test_age_of_first_unit_is_unknown(replaced):
         ("ua_w_k", "ua_d_w_k"), ("vda_counts", "vda_d_counts"), ("cc_out_pa", "cc_out_d_pa"), ("mach", "mach_d"),
     ],
 )  # fmt: skip
-def test_unit_ends_the_name(signal: str, name: str) -> None:
+def test_unit_ends_the_name(signal: str, name: str):
     assert residual_column(signal, "d") == name

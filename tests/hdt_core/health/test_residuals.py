@@ -58,14 +58,14 @@ def means(residual_rows: pl.DataFrame, signal: str, kind: str, pack: int) -> np.
     return rows["mean"].to_numpy()
 
 
-def test_residual_table_is_as_declared(residual_rows) -> None:
+def test_residual_table_is_as_declared(residual_rows):
     assert Residuals.faults(Residuals.conform(residual_rows)) == []
     assert set(residual_rows["kind"]) == set(KINDS)
     assert set(residual_rows["signal"]) == set(SIGNALS)
     assert residual_rows["mean"].is_nan().sum() == 0
 
 
-def test_residuals_add_up(residual_rows) -> None:
+def test_residuals_add_up(residual_rows):
     wide = residual_rows.pivot("kind", index=[*KEY, "signal"], values="mean").drop_nulls()
     assert wide.height > 20
     total = wide["sensor_minus_dsm"] + wide["dsm_minus_twin"]
@@ -74,36 +74,36 @@ def test_residuals_add_up(residual_rows) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_sound_pack_has_no_residual(residual_rows, kind) -> None:
+def test_sound_pack_has_no_residual(residual_rows, kind):
     np.testing.assert_allclose(means(residual_rows, "hx_out_k", kind, 1), 0.0, atol=1e-6)
 
 
-def test_wear_leaves_model_not_twin(residual_rows) -> None:
+def test_wear_leaves_model_not_twin(residual_rows):
     assert means(residual_rows, "hx_out_k", "sensor_minus_dsm", 2).min() > 3.0
     np.testing.assert_allclose(means(residual_rows, "hx_out_k", "sensor_minus_twin", 2), 0.0, atol=0.02)
     # heat that the hot side keeps the cold side misses
     assert means(residual_rows, "ram_out_k", "sensor_minus_dsm", 2).max() < -1.0
 
 
-def test_virtual_sensors_obey_heat_balance(flown, twin) -> None:
+def test_virtual_sensors_obey_heat_balance(flown, twin):
     measured = flown.filter("monitored").group_by(KEY).agg(pl.col("ram_out_k").median())
     both = virtual_sensors(twin).join(measured, on=KEY)
     np.testing.assert_allclose(both["ram_outlet_k"], both["ram_out_k"], atol=0.3)
     np.testing.assert_allclose(both["ram_flow_loss"], 0.0, atol=1e-3)
 
 
-def test_virtual_sensors_show_loss(twin) -> None:
+def test_virtual_sensors_show_loss(twin):
     virtual = virtual_sensors(twin)
     sound, worn = (virtual.filter(pack=pack)["hx_fouling_flight"].to_numpy() for pack in (1, 2))
     np.testing.assert_allclose((1 - worn) / (1 - sound), 1 - LOSS, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["ram_flow_kg_s", "ram_outlet_k", "effectiveness", "ua_w_k"])
-def test_virtual_sensors_have_deviations(twin, name) -> None:
+def test_virtual_sensors_have_deviations(twin, name):
     assert (virtual_sensors(twin)[f"{name}_sd"] > 0).all()
 
 
-def test_flight_statistics_by_hand() -> None:
+def test_flight_statistics_by_hand():
     twin = FLIGHT.select(KEY).unique().with_columns(
         ln_ua_ratio=pl.lit(-0.15), diameter_m=pl.lit(0.160), expected_diameter_m=pl.lit(0.163),
         efficiency=pl.lit(0.71), group_m3=pl.lit(9.2e-4),
@@ -140,7 +140,7 @@ def test_flight_statistics_by_hand() -> None:
             assert row["component"] == ("CC" if signal.startswith("cc_") else "HX")
 
 
-def test_kinds_share_measured_samples() -> None:
+def test_kinds_share_measured_samples():
     """A declared component; its fourth reading is missing."""
     time = pl.datetime(2024, 1, 1, time_zone="UTC")
     key = dict(zip(KEY, (pl.lit("TST"), pl.lit("T"), pl.lit("F"), pl.lit(1, pl.Int32)), strict=True))
@@ -156,6 +156,6 @@ def test_kinds_share_measured_samples() -> None:
         assert row["mean"] == pytest.approx(d.mean())
 
 
-def test_every_residual_has_a_feature_name() -> None:
+def test_every_residual_has_a_feature_name():
     names = {residual_column(s, k) for s in SIGNALS for k in KINDS}
     assert len(names) == len(SIGNALS) * len(KINDS)

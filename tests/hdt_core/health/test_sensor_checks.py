@@ -29,7 +29,7 @@ def sound(fly) -> pl.DataFrame:
     return fly(40)
 
 
-def test_sound_aircraft_shows_nothing(sound) -> None:
+def test_sound_aircraft_shows_nothing(sound):
     out = cross_checks(sound)
     assert out["running"].to_list() == [True] * 80
     assert out["door_span"].min() > 0.05
@@ -37,20 +37,20 @@ def test_sound_aircraft_shows_nothing(sound) -> None:
     assert out["w_hx_out_between_packs_k"].std() < 2.0
 
 
-def test_sound_sensors_move(sound) -> None:
+def test_sound_sensors_move(sound):
     out = cross_checks(sound)
     empty = {sensor: out[f"{sensor}_lost_share"].max() for sensor in SIGNALS}
     assert empty == dict.fromkeys(SIGNALS, 0.0) | {"ram_out_k": 1.0}
     assert not out.select(pl.any_horizontal(f"{sensor}_still" for sensor in SIGNALS).any()).item()
 
 
-def test_frozen_sensor_stands_still(sound) -> None:
+def test_frozen_sensor_stands_still(sound):
     before, after = witnesses(alter(sound, late(sound), cc_flow_kg_s=0.8))
     assert not before["cc_flow_kg_s_still"].any()
     assert after["cc_flow_kg_s_still"].all()
 
 
-def test_empty_readings_are_counted(sound) -> None:
+def test_empty_readings_are_counted(sound):
     every_second = late(sound) & (pl.int_range(pl.len()) % 2 == 0)
     _, after = witnesses(alter(sound, every_second, hx_in_k=None))
     assert after["hx_in_k_lost_share"].to_list() == pytest.approx([0.5] * 10)
@@ -78,7 +78,7 @@ ABOVE_K = S["hx_out_k"] - np.interp(S["tat_k"], (230.0, 250.0, 300.0), (-10.0, -
 FREE = S["ram_door_open"] <= 0.95
 
 
-def test_cross_checks_by_hand() -> None:
+def test_cross_checks_by_hand():
     ln = np.log
     static_pa = 22_632.0 * np.exp(-9.80665 * (S["altitude_m"] - 11_000.0) / (287.053 * 216.65))
     pitot_pa = static_pa * (1.0 + 0.2 * S["mach"] ** 2) ** 3.5
@@ -100,7 +100,7 @@ def test_cross_checks_by_hand() -> None:
     assert {name: row[name] for name in by_hand} == pytest.approx(by_hand, rel=1e-4, abs=2e-5)
 
 
-def test_setting_by_hand() -> None:
+def test_setting_by_hand():
     door = S["ram_door_open"]
     medians = {
         "tat_cruise_k": "tat_k", "altitude_cruise_m": "altitude_m", "mach_cruise": "mach", "hx_in_cruise_k": "hx_in_k",
@@ -116,12 +116,12 @@ def test_setting_by_hand() -> None:
     assert {name: row[name] for name in by_hand} == pytest.approx(by_hand, rel=1e-4, abs=2e-5)
 
 
-def test_door_at_limit_has_authority() -> None:
+def test_door_at_limit_has_authority():
     at_limit = first(both_packs().with_columns(ram_door_open=pl.lit(0.95)))
     assert (at_limit["door_full_open_share"], at_limit["w_hx_out_minus_target_k_n"]) == (0.0, 6)
 
 
-def test_open_door_has_no_peg_excess() -> None:
+def test_open_door_has_no_peg_excess():
     """Where the door is widest it has no authority."""
     assert first(both_packs())["door_peg_excess_k"] is None
 
@@ -130,14 +130,14 @@ AT = pl.int_range(pl.len()).over("pack")
 
 
 @pytest.mark.parametrize(("n_valid", "is_computed"), [(3, True), (2, False)])
-def test_witness_needs_three_samples(n_valid, is_computed) -> None:
+def test_witness_needs_three_samples(n_valid, is_computed):
     row = first(both_packs().with_columns(cc_in_k=pl.when(n_valid > AT).then("cc_in_k")))
     assert (row["w_inlet_minus_tat_k"] is not None) is is_computed
     assert row["w_inlet_minus_tat_k_n"] == n_valid
 
 
 @pytest.mark.parametrize(("check", "is_computed"), [("inlet_minus_tat_k", False), ("hx_out_minus_target_k", True)])
-def test_inlet_needs_level_flight(check, is_computed) -> None:
+def test_inlet_needs_level_flight(check, is_computed):
     climb = first(alter(both_packs(), AT < 4, phase=pl.lit("climb")))
     assert (climb[f"w_{check}"] is not None) is is_computed
 
@@ -146,12 +146,12 @@ def test_inlet_needs_level_flight(check, is_computed) -> None:
 @pytest.mark.parametrize(
     "check", ["cc_out_pressure_over_schedule_ln", "total_over_pitot_pressure_ln", "cc_out_pressure_between_packs_ln"]
 )
-def test_impossible_pressure_is_no_witness(pa, check) -> None:
+def test_impossible_pressure_is_no_witness(pa, check):
     row = first(both_packs().with_columns(cc_out_pa=pl.lit(pa), total_pressure_pa=pl.lit(pa)))
     assert row[f"w_{check}"] is None
 
 
-def test_impossible_sample_is_left_out() -> None:
+def test_impossible_sample_is_left_out():
     once = alter(both_packs(), pl.int_range(pl.len()) == 0, cc_in_pa=0.0)
     assert first(once)["w_inlet_over_total_pressure_ln_n"] == 5
 
@@ -166,7 +166,7 @@ def test_impossible_sample_is_left_out() -> None:
     ],
 )  # fmt: skip
 @pytest.mark.parametrize(("flow", "is_computed"), [(0.2, False), (0.201, True)])
-def test_resting_pack_is_no_witness(signal: str, check: str, flow: float, is_computed: bool) -> None:
+def test_resting_pack_is_no_witness(signal: str, check: str, flow: float, is_computed: bool):
     for pack in (1, 2) if "between" in check else (1,):
         row = first(alter(both_packs(), pl.col("pack") == pack, **{signal: flow}))
         assert (row[f"w_{check}"] is not None) is is_computed
@@ -180,25 +180,25 @@ def twelve() -> pl.DataFrame:
 
 
 @pytest.mark.parametrize(("n", "still"), [(8, True), (7, False)])
-def test_still_sensor_needs_eight_readings(twelve, n, still) -> None:
+def test_still_sensor_needs_eight_readings(twelve, n, still):
     row = first(twelve.with_columns(mach=pl.when(pl.int_range(pl.len()) < n).then(0.8)))
     assert row["mach_still"] is still
     assert (row["mach_lost_share"], row["flight_hours"]) == pytest.approx(((12 - n) / 12, 22.0 / 60.0))
 
 
-def test_moving_sensor_is_not_still(twelve) -> None:
+def test_moving_sensor_is_not_still(twelve):
     assert not first(twelve.with_columns(mach=0.8 + 0.001 * (pl.int_range(pl.len()) == 0)))["mach_still"]
 
 
 @pytest.mark.parametrize(
     ("pack_flow", "cc_flow", "running"), [(0.2, 0.2, 0), (0.201, 0.0, 1), (0.0, 0.201, 1), (None, 0.3, 1)]
 )
-def test_either_flow_marks_running_pack(pack_flow, cc_flow, running) -> None:
+def test_either_flow_marks_running_pack(pack_flow, cc_flow, running):
     flows = {"pack_flow_kg_s": pl.lit(pack_flow, pl.Float64), "cc_flow_kg_s": pl.lit(cc_flow, pl.Float64)}
     assert first(both_packs().with_columns(**flows))["running"] == bool(running)
 
 
-def test_peg_excess_compares_stop() -> None:
+def test_peg_excess_compares_stop():
     """Outlet at the stop against the rest."""
     door = pl.Series("ram_door_open", [0.50, 0.49, 0.486, 0.485, 0.3, 0.2] * 2)
     row = first(both_packs().with_columns(door))
@@ -206,7 +206,7 @@ def test_peg_excess_compares_stop() -> None:
     assert row["door_peg_excess_k"] == pytest.approx(np.median(ABOVE_K[:3]) - np.median(ABOVE_K[3:]))
 
 
-def test_jammed_door_leaves_target(sound) -> None:
+def test_jammed_door_leaves_target(sound):
     noise = 0.005 * (pl.int_range(pl.len()) % 3 - 1)
     warm = pl.col("hx_out_k") + pl.col("altitude_m") / 1000 - 6
     before, after = witnesses(alter(sound, late(sound), ram_door_open=0.4 + noise, hx_out_k=warm))
@@ -216,7 +216,7 @@ def test_jammed_door_leaves_target(sound) -> None:
     assert after["hx_out_target_sd_k"].min() > 3 * before["hx_out_target_sd_k"].max()
 
 
-def test_outlet_runs_warm_at_stop(sound) -> None:
+def test_outlet_runs_warm_at_stop(sound):
     door = pl.col("ram_door_open")
     warm = pl.col("hx_out_k") + 100 * (door - 0.19).clip(lower_bound=0.0)
     before, after = witnesses(alter(sound, late(sound), hx_out_k=warm, ram_door_open=door.clip(upper_bound=0.19)))
@@ -230,17 +230,17 @@ def one_off(sound) -> pl.DataFrame:
     return alter(sound, late(sound), pack_flow_kg_s=0.0, cc_flow_kg_s=0.0)
 
 
-def test_pack_without_flow_is_off(one_off) -> None:
+def test_pack_without_flow_is_off(one_off):
     assert not witnesses(one_off)[1]["running"].any()
 
 
-def test_pack_off_is_no_witness(one_off) -> None:
+def test_pack_off_is_no_witness(one_off):
     _, other = witnesses(one_off, pack=2)
     assert other["running"].all()
     assert other["w_hx_out_between_packs_k"].null_count() == other.height
 
 
-def test_lone_pack_keeps_own_checks(fly) -> None:
+def test_lone_pack_keeps_own_checks(fly):
     out = cross_checks(fly(12).filter(pl.col("pack") == 1))
     assert out["w_hx_out_between_packs_k"].null_count() == out.height
     assert out["w_inlet_minus_tat_k"].null_count() == 0
