@@ -19,13 +19,28 @@ from hdt_core.robust import huber_weights, median_error, spread, spread_expr
 ROOT = Path(__file__).parents[2]
 
 
-def test_version_follows_declaration():
+def test_components_have_their_messages():
     codes = {"HX": "21-52-HXTEMP", "CC": "21-51-CCFLOW", "HXT": None, "CAC": None}
     assert {c: k.message_code for c, k in components().items()} == codes
+
+
+def test_equal_declaration_has_equal_version():
     assert replace(CC).version == CC.version
-    assert replace(CC, warn_loss=0.06).version != CC.version
-    model = replace(CC.model, outputs=(*CC.model.outputs[:2], Signal("cc_out_k", "K", sigma=0.8)))
-    assert replace(CC, model=model).version != CC.version
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"warn_loss": 0.06},
+        {"model": replace(CC.model, outputs=(*CC.model.outputs[:2], Signal("cc_out_k", "K", sigma=0.8)))},
+    ],
+    ids=["limit", "model"],
+)
+def test_changed_declaration_has_another_version(change):
+    assert replace(CC, **change).version != CC.version
+
+
+def test_version_is_that_of_any_process():
     script = "from hdt_core.components import components; print(components()['HX'].version)"
     other = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert other.stdout.strip() == HX.version
@@ -69,20 +84,37 @@ def test_contradictory_declaration_is_refused(change, message):
 
 
 NORMAL = np.random.default_rng(5).normal(0.0, 2.0, 200_000)
+GROUPS = NORMAL.reshape(-1, 50)
 
 
 def test_spread_equals_normal_deviation():
     assert spread(NORMAL) == pytest.approx(2.0, rel=0.01)
+
+
+def test_spread_resists_strays():
     strays = np.where(np.arange(NORMAL.size) % 20 == 0, 1e6, NORMAL)
     assert spread(strays) == pytest.approx(2.0, rel=0.1)
+
+
+def test_spread_expression_equals_spread():
     assert pl.DataFrame({"x": NORMAL}).select(spread_expr(pl.col("x"))).item() == pytest.approx(spread(NORMAL))
+
+
+def test_spread_ignores_missing_value():
     assert spread(np.append(NORMAL, np.nan)) == spread(NORMAL)
-    medians = np.median(NORMAL.reshape(-1, 50), axis=1)
-    assert 2.0 * median_error(50.0) == pytest.approx(medians.std(), rel=0.05)
-    groups = NORMAL.reshape(-1, 50)
-    place = np.median(groups, axis=1)
+
+
+def test_median_error_is_that_of_medians():
+    assert 2.0 * median_error(50.0) == pytest.approx(np.median(GROUPS, axis=1).std(), rel=0.05)
+
+
+def test_huber_location_is_nearly_efficient():
+    place = np.median(GROUPS, axis=1)
     for _ in range(20):
-        weight = huber_weights(np.abs(groups - place[:, None]), 2.0)
-        place = (weight * groups).sum(axis=1) / weight.sum(axis=1)
-    assert groups.mean(axis=1).var() / place.var() == pytest.approx(0.95, abs=0.015)
+        weight = huber_weights(np.abs(GROUPS - place[:, None]), 2.0)
+        place = (weight * GROUPS).sum(axis=1) / weight.sum(axis=1)
+    assert GROUPS.mean(axis=1).var() / place.var() == pytest.approx(0.95, abs=0.015)
+
+
+def test_huber_weights_need_no_scale():
     assert (huber_weights(np.array([0.0, 1.0]), 0.0) == [1.0, huber_weights(np.array([1.0]), 0.0)[0]]).all()

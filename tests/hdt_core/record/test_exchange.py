@@ -14,7 +14,7 @@ OFFSETS = dict(zip(BETWEEN_PACKS, (3.0, -2.0, 1.5, 0.0, -1.2, 0.3, 2.0, 0.0), st
 """How the packs differ, in standard deviations from flight to flight."""
 
 
-def differing(offsets: dict[str, float], signs: np.ndarray) -> pl.DataFrame:
+def simulate_flights(offsets: dict[str, float], signs: np.ndarray) -> pl.DataFrame:
     """An aircraft's flights, of which some have the packs exchanged: sign -1."""
     rng = np.random.default_rng(5)
     flights = fleet(N_FLIGHTS // 3, 1)
@@ -22,91 +22,88 @@ def differing(offsets: dict[str, float], signs: np.ndarray) -> pl.DataFrame:
     return flights.with_columns(pl.Series(name, column) for name, column in values.items())
 
 
-def places_held(flights: pl.DataFrame) -> list[int]:
+def exchange_between(first: int, after_last: int = N_FLIGHTS) -> np.ndarray:
+    """Signs of an aircraft's flights of which these have the packs exchanged."""
+    signs = np.ones(N_FLIGHTS)
+    signs[first:after_last] = -1.0
+    return signs
+
+
+def flip_signals(flights: pl.DataFrame, first: int, *names: str) -> pl.DataFrame:
+    """Flights whose signals of these names change sign from one on."""
+    is_late = pl.int_range(pl.len()) >= first
+    changed = (pl.when(is_late).then(-pl.col(name)).otherwise(name) for name in names)
+    return flights.sort("departed_at").with_columns(changed)
+
+
+def find_held_places(flights: pl.DataFrame) -> list[int]:
     """Places of the held flights, in order of departure."""
-    held = flights.sort("departed_at").with_row_index().join(exchanged_packs(flights), on="flight_id", how="semi")
-    return sorted(held["index"].to_list())
+    rows = flights.sort("departed_at").with_row_index().join(exchanged_packs(flights), on="flight_id", how="semi")
+    return sorted(rows["index"].to_list())
 
 
 @pytest.mark.parametrize(("first", "after_last"), [(40, N_FLIGHTS), (30, 60), (50, 57), (12, N_FLIGHTS)])
 def test_exchanged_flights_are_held(first, after_last):
-    signs = np.ones(N_FLIGHTS)
-    signs[first:after_last] = -1.0
+    places = find_held_places(simulate_flights(OFFSETS, exchange_between(first, after_last)))
 
-    held = places_held(differing(OFFSETS, signs))
-
-    wrong = set(held) ^ set(range(first, after_last))
+    wrong = set(places) ^ set(range(first, after_last))
     assert len(wrong) <= 2
 
 
 def test_unexchanged_packs_are_not_held():
-    assert places_held(differing(OFFSETS, np.ones(N_FLIGHTS))) == []
+    assert find_held_places(simulate_flights(OFFSETS, np.ones(N_FLIGHTS))) == []
 
 
 def test_exchange_survives_sensor_change():
-    signs = np.ones(N_FLIGHTS)
-    signs[30:60] = -1.0
-    flights = differing(dict.fromkeys(OFFSETS, 3.0), signs).sort("departed_at")
-    is_changed = pl.int_range(pl.len()) >= 60
-    name = "hx_in_between_packs_k"
+    """A sensor that is changed as the packs are exchanged back."""
+    flights = simulate_flights(dict.fromkeys(OFFSETS, 3.0), exchange_between(30, 60))
 
-    changed = flights.with_columns(pl.when(is_changed).then(-pl.col(name)).otherwise(name))
-
-    assert places_held(changed) == list(range(30, 60))
+    assert find_held_places(flip_signals(flights, 60, "hx_in_between_packs_k")) == list(range(30, 60))
 
 
 @pytest.mark.parametrize("name", ["hx_out_between_packs_k", "hx_in_between_packs_k"])
 def test_single_sign_change_is_ignored(name):
-    flights = differing(OFFSETS, np.ones(N_FLIGHTS)).sort("departed_at")
-    is_late = pl.int_range(pl.len()) >= 45
+    flights = simulate_flights(OFFSETS, np.ones(N_FLIGHTS))
 
-    changed = flights.with_columns(pl.when(is_late).then(-pl.col(name)).otherwise(name))
-
-    assert places_held(changed) == []
+    assert find_held_places(flip_signals(flights, 45, name)) == []
 
 
 def test_changed_flow_is_no_exchange():
-    flights = differing(OFFSETS, np.ones(N_FLIGHTS)).sort("departed_at")
-    is_late = pl.int_range(pl.len()) >= 45
+    flights = simulate_flights(OFFSETS, np.ones(N_FLIGHTS))
     of_flow = [name for name in BETWEEN_PACKS if not name.endswith("_k")]
 
-    changed = flights.with_columns(pl.when(is_late).then(-pl.col(n)).otherwise(n) for n in of_flow)
-
-    assert places_held(changed) == []
+    assert find_held_places(flip_signals(flights, 45, *of_flow)) == []
 
 
 def test_like_packs_are_not_held():
-    signs = np.where(np.arange(N_FLIGHTS) < 40, 1.0, -1.0)
-
-    assert places_held(differing(dict.fromkeys(OFFSETS, 0.2), signs)) == []
+    assert find_held_places(simulate_flights(dict.fromkeys(OFFSETS, 0.2), exchange_between(40))) == []
 
 
 def test_missing_channel_is_left_out():
-    signs = np.where(np.arange(N_FLIGHTS) < 40, 1.0, -1.0)
-    flights = differing(OFFSETS, signs).with_columns(pl.lit(None, pl.Float64).alias("cc_out_between_packs_pa"))
+    flights = simulate_flights(OFFSETS, exchange_between(40))
+    flights = flights.with_columns(pl.lit(None, pl.Float64).alias("cc_out_between_packs_pa"))
 
-    assert places_held(flights) == list(range(40, N_FLIGHTS))
+    assert find_held_places(flights) == list(range(40, N_FLIGHTS))
 
 
 def test_judge_names_the_exchange():
-    signs = np.where(np.arange(N_FLIGHTS) < 40, 1.0, -1.0)
     no_deliveries = pl.DataFrame(schema={"operator": pl.String, "tail": pl.String, "delivered_on": pl.Date})
 
-    held = judge_flights(differing(OFFSETS, signs), no_deliveries, NOW)
+    rows = judge_flights(simulate_flights(OFFSETS, exchange_between(40)), no_deliveries, NOW)
 
-    assert held["reason"].unique().to_list() == ["packs_exchanged"]
+    assert rows["reason"].unique().to_list() == ["packs_exchanged"]
 
 
 def test_exchanged_packs_are_swapped_back():
     key = {"operator": "AQX", "tail": "LX-AA0"}
     rows = pl.DataFrame([key | {"flight_id": f, "pack": p} for f in "abc" for p in (1, 2)])
-    held = pl.DataFrame(
+    reasons = pl.DataFrame(
         [
             key | {"flight_id": "b", "reason": EXCHANGED, "is_used": True, "without_log": False},
             key | {"flight_id": "c", "reason": "no_flight", "is_used": False, "without_log": False},
         ]
     )
 
-    used = usable_rows(rows, held)
+    used = usable_rows(rows, reasons)
 
     assert used.select("flight_id", "pack").rows() == [("a", 1), ("a", 2), ("b", 2), ("b", 1)]

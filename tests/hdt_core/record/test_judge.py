@@ -21,8 +21,8 @@ def judge(*parts: pl.DataFrame, deliveries: pl.DataFrame = NO_DELIVERIES) -> pl.
     return judge_flights(pl.concat(parts), deliveries, NOW)
 
 
-def reasons(held: pl.DataFrame) -> dict[str, str]:
-    return dict(held.select("flight_id", "reason").iter_rows())
+def reasons(rows: pl.DataFrame) -> dict[str, str]:
+    return dict(rows.select("flight_id", "reason").iter_rows())
 
 
 def nth(flights: pl.DataFrame, tail: str, *places: int) -> pl.DataFrame:
@@ -31,7 +31,7 @@ def nth(flights: pl.DataFrame, tail: str, *places: int) -> pl.DataFrame:
     return own[[p % own.height for p in places]]
 
 
-def moved(flights: pl.DataFrame, offset: str, leg: int | None = None) -> pl.DataFrame:
+def shift_flights(flights: pl.DataFrame, offset: str, leg: int | None = None) -> pl.DataFrame:
     """Flights at another time, under the id of their new day."""
     at = pl.col("departed_at", "landed_at").dt.offset_by(offset)
     own_leg = pl.col("flight_id").str.tail(2) if leg is None else pl.lit(f"{leg:02d}")
@@ -92,13 +92,13 @@ def test_landing_after_clock_waits(minutes, reason):
 @pytest.mark.parametrize("place", [5, 44, -1])
 def test_misdated_flight_is_held(good, offset, cause, place):
     right = nth(good, "LX-AA1", place)
-    wrong = moved(right, offset)
+    wrong = shift_flights(right, offset)
 
-    held = judge(without(good, right), wrong)
+    rows = judge(without(good, right), wrong)
 
     is_in_reach = START - timedelta(days=10) < wrong["departed_at"][0] < START + timedelta(days=40)
     expected = {} if is_in_reach else dict.fromkeys(wrong["flight_id"], cause)
-    assert dict(held.select("flight_id", "likely_cause").iter_rows()) == expected
+    assert dict(rows.select("flight_id", "likely_cause").iter_rows()) == expected
 
 
 @pytest.mark.parametrize("n_aircraft", [1, 4])
@@ -106,9 +106,9 @@ def test_week_rollover_is_held(n_aircraft):
     good = fleet(60, n_aircraft)
     late = nth(good, "LX-AA0", *range(120, 180))
 
-    held = judge(without(good, late), moved(late, "-1024w"))
+    rows = judge(without(good, late), shift_flights(late, "-1024w"))
 
-    assert held["likely_cause"].to_list() == ["week_rollover"] * 60
+    assert rows["likely_cause"].to_list() == ["week_rollover"] * 60
 
 
 def test_second_recorder_hides_no_rollover():
@@ -116,14 +116,14 @@ def test_second_recorder_hides_no_rollover():
     late = nth(good, "LX-AA0", *range(120, 180))
     right = late[30:31].with_columns(source=pl.lit("cpl"))
 
-    held = judge(without(good, late), moved(late, "-1024w"), right)
+    rows = judge(without(good, late), shift_flights(late, "-1024w"), right)
 
-    assert held["likely_cause"].to_list() == ["week_rollover"] * 60
+    assert rows["likely_cause"].to_list() == ["week_rollover"] * 60
 
 
 def test_day_exchanged_with_month_is_named(good):
     right = good.filter(pl.col("departed_at").dt.date() == datetime(2024, 3, 9).date(), tail="LX-AA2").head(1)
-    wrong = moved(right, "178d")  # 3 September
+    wrong = shift_flights(right, "178d")  # 3 September
 
     assert judge(without(good, right), wrong)["likely_cause"].to_list() == ["day_month_exchanged"]
 
@@ -144,33 +144,33 @@ def test_parked_aircraft_is_not_held(parked):
 @pytest.mark.parametrize("n_aircraft", [2, 6])
 def test_fleet_resumes_after_pause(n_aircraft):
     good = fleet(60, n_aircraft)
-    later = moved(fleet(2, n_aircraft), "200d")
+    later = shift_flights(fleet(2, n_aircraft), "200d")
 
     assert judge(good, later).is_empty()
 
 
 @pytest.mark.parametrize(("delivered_on", "n_held"), [(START.date(), 1), (None, 0)])
 def test_delivery_date_is_evidence(good, delivered_on, n_held):
-    others_before = moved(fleet(60), "-60d").filter(pl.col("tail") != "LX-AA1")
-    early = moved(nth(good, "LX-AA1", 0), "-40d")
+    others_before = shift_flights(fleet(60), "-60d").filter(pl.col("tail") != "LX-AA1")
+    early = shift_flights(nth(good, "LX-AA1", 0), "-40d")
     deliveries = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AA1"], "delivered_on": [delivered_on]})
 
-    held = judge(others_before, good, early, deliveries=deliveries.cast(NO_DELIVERIES.schema))
+    rows = judge(others_before, good, early, deliveries=deliveries.cast(NO_DELIVERIES.schema))
 
-    assert held["flight_id"].to_list() == early["flight_id"].to_list()[:n_held]
+    assert rows["flight_id"].to_list() == early["flight_id"].to_list()[:n_held]
 
 
 @pytest.mark.parametrize(("offset", "values"), [("0s", 600), ("1s", 600), ("1s", 590), ("-1s", 590), ("10m", 600)])
 def test_copy_is_held(good, offset, values):
     right = nth(good, "LX-AA1", 10, 11, 30)
-    copies = moved(right.with_columns(n_values=pl.lit(values, pl.Int64)), offset)
+    copies = shift_flights(right.with_columns(n_values=pl.lit(values, pl.Int64)), offset)
     renumbered = copies.with_columns(
         flight_id=pl.col("flight_id").str.head(-2) + pl.lit("2") + pl.col("flight_id").str.tail(1)
     )
 
-    held = judge(good, renumbered)
+    rows = judge(good, renumbered)
 
-    assert held.select("flight_id", "reason", "other_flight_id").rows() == [
+    assert rows.select("flight_id", "reason", "other_flight_id").rows() == [
         (copy, "copy_of_flight", flight_id)
         for copy, flight_id in zip(renumbered["flight_id"], right["flight_id"], strict=True)
     ]
@@ -185,7 +185,7 @@ def test_sparser_copy_is_held(good):
 
 def test_overlapping_flight_is_held(good):
     right = nth(good, "LX-AA1", 40)
-    wrong = moved(right, "-119h", leg=9)  # a ninth leg that begins during the second
+    wrong = shift_flights(right, "-119h", leg=9)  # a ninth leg that begins during the second
 
     assert reasons(judge(without(good, right), wrong)) == dict.fromkeys(wrong["flight_id"], "overlaps_flight")
 
@@ -212,4 +212,4 @@ def test_other_operator_is_not_continued():
 def test_ten_distant_flights_need_a_cause(good, n, n_held):
     right = nth(good, "LX-AA1", *range(n))
 
-    assert judge(without(good, right), moved(right, "100d")).height == n_held
+    assert judge(without(good, right), shift_flights(right, "100d")).height == n_held

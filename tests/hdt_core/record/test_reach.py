@@ -12,7 +12,7 @@ HOME = ("AAA", "LX-1")
 AWAY = ("BBB", "LX-2")
 
 
-def flown(aircraft: tuple[str, str], *days: float, hours: float = 2.0) -> pl.DataFrame:
+def fly(aircraft: tuple[str, str], *days: float, hours: float = 2.0) -> pl.DataFrame:
     """A flight on each of these days."""
     operator, tail = aircraft
     rows = [
@@ -29,38 +29,38 @@ def flown(aircraft: tuple[str, str], *days: float, hours: float = 2.0) -> pl.Dat
     return pl.DataFrame(rows)
 
 
-def held_days(*flights: pl.DataFrame, delivered_on: date | None = None) -> list[int]:
+def find_held_days(*flights: pl.DataFrame, delivered_on: date | None = None) -> list[int]:
     """Days of the flights out of reach."""
     delivery = pl.DataFrame(
         [(*HOME, delivered_on)],
         schema={"operator": pl.String, "tail": pl.String, "delivered_on": pl.Date},
         orient="row",
     )
-    held = out_of_reach(pl.concat(flights), delivery)
-    return sorted(int(name.rpartition("_")[2]) for name in held["flight_id"])
+    rows = out_of_reach(pl.concat(flights), delivery)
+    return sorted(int(name.rpartition("_")[2]) for name in rows["flight_id"])
 
 
-RECORD = flown(HOME, *range(30))
+RECORD = fly(HOME, *range(30))
 
 
-@pytest.mark.parametrize(("day", "held"), [(39, []), (200, [200])])
-def test_flights_beyond_pause_are_held(day, held):
-    assert held_days(RECORD, flown(HOME, day)) == held
+@pytest.mark.parametrize(("day", "days"), [(39, []), (200, [200])])
+def test_flights_beyond_pause_are_held(day, days):
+    assert find_held_days(RECORD, fly(HOME, day)) == days
 
 
 def test_late_landing_bridges_pause():
     """A clock that ran on at the end of one flight moves no later flight out of reach."""
-    late = flown(HOME, 30, hours=24 * 24)
-    assert held_days(RECORD, late, flown(HOME, 31, 53)) == []
+    late = fly(HOME, 30, hours=24 * 24)
+    assert find_held_days(RECORD, late, fly(HOME, 31, 53)) == []
 
 
 def test_other_operators_tail_is_company():
-    other = flown(("BBB", "LX-1"), *range(95, 110))
-    assert held_days(RECORD, flown(HOME, 100), other) == []
+    other = fly(("BBB", "LX-1"), *range(95, 110))
+    assert find_held_days(RECORD, fly(HOME, 100), other) == []
 
 
 def test_flights_before_delivery_have_no_company():
-    other = flown(AWAY, *range(60))
-    early = flown(HOME, 0)
-    record = flown(HOME, *range(40, 70))
-    assert held_days(record, early, other, delivered_on=date(2024, 2, 5)) == [0]
+    other = fly(AWAY, *range(60))
+    early = fly(HOME, 0)
+    record = fly(HOME, *range(40, 70))
+    assert find_held_days(record, early, other, delivered_on=date(2024, 2, 5)) == [0]

@@ -1,4 +1,4 @@
-"""The maintenance log judged by the flights: on time, late, elsewhere, twice, not done."""
+"""The maintenance log verdicts by the flights: on time, late, elsewhere, twice, not done."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -21,7 +21,7 @@ def departure(flight: int) -> datetime:
     return START + timedelta(hours=8 * flight)
 
 
-def flown(*losses: np.ndarray, sd: float = 0.01) -> pl.DataFrame:
+def fly(*losses: np.ndarray, sd: float = 0.01) -> pl.DataFrame:
     """Flights of packs 1, 2 ... with these losses."""
     parts = [
         pl.DataFrame({"departed_at": [departure(k) for k in range(loss.size)], "loss": loss}).with_columns(
@@ -42,14 +42,14 @@ def log(*entries: tuple[int, int], action: str = "REPLACED") -> pl.DataFrame:
     return pl.DataFrame(rows).with_columns(pl.col("pack").cast(pl.Int32))
 
 
-def sent(*flights: int) -> pl.DataFrame:
+def messages_after(*flights: int) -> pl.DataFrame:
     rows = [{**PACK, "pack": 1, "message_time": departure(k)} for k in flights]
     schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "message_time": pl.Datetime("us", "UTC")}
     return pl.DataFrame(rows, schema=schema)
 
 
 def judge(flights: pl.DataFrame, entries: pl.DataFrame, messages: pl.DataFrame | None = None) -> pl.DataFrame:
-    messages = sent() if messages is None else messages
+    messages = messages_after() if messages is None else messages
     return judge_work(flights, entries, messages, "HX", ("REPLACED", "CLEANED")).sort("counts_from")
 
 
@@ -78,43 +78,43 @@ def test_small_fall_is_no_recovery(loss, sd):
     ],
 )
 def test_verdict_follows_flights(entry, verdict, position, from_flight):
-    judged = judge(flown(WORN, CLEAN), log(entry))
+    verdicts = judge(fly(WORN, CLEAN), log(entry))
 
-    columns = judged.select("verdict", "position", "flown_from")
+    columns = verdicts.select("verdict", "position", "flown_from")
     assert columns.row(0) == (verdict, position, departure(from_flight))
 
 
 @pytest.mark.parametrize("losses", [(CLEAN,), (np.full(FLIGHTS, np.nan),)])
 def test_log_counts_without_evidence(losses):
-    judged = judge(flown(*losses), log((1, RENEWED)))
+    verdicts = judge(fly(*losses), log((1, RENEWED)))
 
-    assert judged["in_force"].to_list() == [True]
+    assert verdicts["in_force"].to_list() == [True]
 
 
 @pytest.mark.parametrize(("since", "verdict"), [(9, "logged"), (10, "not_seen")])
 def test_ten_flights_refute_work(since, verdict):
     worn = np.full(RENEWED + since, 0.3)
 
-    assert judge(flown(worn), log((1, RENEWED)))["verdict"].to_list() == [verdict]
+    assert judge(fly(worn), log((1, RENEWED)))["verdict"].to_list() == [verdict]
 
 
 @pytest.mark.parametrize(("messages", "verdict"), [((), "repeated"), ((RENEWED + 2,), "logged")])
 def test_second_entry_needs_a_message(messages, verdict):
-    judged = judge(flown(WORN), log((1, RENEWED), (1, RENEWED + 3)), sent(*messages))
+    verdicts = judge(fly(WORN), log((1, RENEWED), (1, RENEWED + 3)), messages_after(*messages))
 
-    assert judged["verdict"].to_list() == ["logged", verdict]
+    assert verdicts["verdict"].to_list() == ["logged", verdict]
 
 
 def test_settled_log_corrects_its_entry():
-    settled = settle(judge(flown(WORN, CLEAN), log((2, RENEWED + 30))))
+    settled = settle(judge(fly(WORN, CLEAN), log((2, RENEWED + 30))))
 
     assert settled.select("pack", "counts_from").row(0) == (1, departure(RENEWED))
 
 
 def test_undone_work_counts_until_known():
-    known = as_known(judge(flown(np.full(FLIGHTS, 0.3)), log((1, RENEWED))))
+    entries = as_known(judge(fly(np.full(FLIGHTS, 0.3)), log((1, RENEWED))))
 
-    assert known.select("counts_from", "until").row(0) == (departure(RENEWED), departure(RENEWED + 9))
+    assert entries.select("counts_from", "until").row(0) == (departure(RENEWED), departure(RENEWED + 9))
 
 
 @pytest.mark.parametrize(
@@ -127,18 +127,18 @@ def test_undone_work_counts_until_known():
     ids=["on time", "late", "not done"],
 )
 def test_units_follow_contemporary_record(loss, entry, units):
-    flights = flown(loss)
+    flights = fly(loss)
 
-    known = units_as_known(flights, judge(flights, log((1, entry))))
+    numbers = units_as_known(flights, judge(flights, log((1, entry))))
 
-    assert known.select("known_row", "first_row").rows() == units
+    assert numbers.select("known_row", "first_row").rows() == units
 
 
 @pytest.mark.parametrize("loss", [WORN, np.full(FLIGHTS, 0.3)], ids=["late", "not done"])
 def test_units_need_no_later_flight(loss):
     entries = log((1, RENEWED + 30) if loss is WORN else (1, RENEWED))
-    whole = flown(loss)
-    early = flown(loss[:95])
+    whole = fly(loss)
+    early = fly(loss[:95])
 
     then, now = (units_as_known(f, judge(f, entries)) for f in (early, whole))
 

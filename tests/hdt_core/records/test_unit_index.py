@@ -20,7 +20,7 @@ OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
 UTC = pl.Datetime("us", "UTC")
 
 
-def flown(hours: list[float]) -> pl.DataFrame:
+def fly(hours: list[float]) -> pl.DataFrame:
     """Flights of one pack that depart so many hours after the start."""
     at = [START + dt.timedelta(hours=h) for h in sorted(hours)]
     ids = [f"T-1_{a:%Y%m%d}_{k:02d}" for k, a in enumerate(at)]
@@ -46,23 +46,43 @@ def work(*entries: tuple[int, float | None], component: str = "HX", action: str 
 
 
 def units(hours: list[float], log: pl.DataFrame) -> list[int]:
-    return number_units(flown(hours), log)["unit"].to_list()
+    return number_units(fly(hours), log)["unit"].to_list()
 
 
-def test_work_counts_from_day_end():
-    hours = [2.0, 8.0, 23.9, 24.0, 30.0]
-    assert units(hours, work((0, None))) == [0, 0, 0, 1, 1]
-    assert units(hours, work((0, 8.0))) == [0, 1, 1, 1, 1]
-    assert units(hours, work((0, 8.1))) == [0, 0, 1, 1, 1]
-    assert units(hours, work((0, None)).drop("done_at")) == [0, 0, 0, 1, 1]
-    hours = [2.0, 30.0]
-    assert units(hours, work((0, None), component="CC")) == [0, 0]
-    assert units(hours, work((0, None), action="CLEANED")) == [0, 0]
-    assert units(hours, pl.concat([work((0, None)), work((0, None))])) == [0, 1], "one job on two work orders"
-    assert units(hours, work((0, None), (0, 10.0))) == [0, 2], "two entries of different moments are two jobs"
-    assert units(hours, work((0, None)).with_columns(pack=pl.lit(None, pl.Int32))) == [0, 0]
-    assert first_flights(flown([1.0, 2.0]), work((0, None)), ("HX",)).height == 0
-    assert first_flights(flown([1.0, 2.0]), work((0, 1.5)), ("HX",))["departed_at"].item().hour == 2
+@pytest.mark.parametrize(
+    ("log", "expected"),
+    [
+        (work((0, None)), [0, 0, 0, 1, 1]),
+        (work((0, 8.0)), [0, 1, 1, 1, 1]),
+        (work((0, 8.1)), [0, 0, 1, 1, 1]),
+        (work((0, None)).drop("done_at"), [0, 0, 0, 1, 1]),
+    ],
+    ids=["day", "hour of a departure", "hour after it", "log without hours"],
+)
+def test_work_counts_from_its_moment(log, expected):
+    """A day counts from its end."""
+    assert units([2.0, 8.0, 23.9, 24.0, 30.0], log) == expected
+
+
+@pytest.mark.parametrize(
+    ("log", "expected"),
+    [
+        (work((0, None), component="CC"), [0, 0]),
+        (work((0, None), action="CLEANED"), [0, 0]),
+        (pl.concat([work((0, None)), work((0, None))]), [0, 1]),
+        (work((0, None), (0, 10.0)), [0, 2]),
+        (work((0, None)).with_columns(pack=pl.lit(None, pl.Int32)), [0, 0]),
+    ],
+    ids=["other component", "wash", "one job on two work orders", "two jobs of a day", "no pack"],
+)
+def test_only_replacements_install_units(log, expected):
+    assert units([2.0, 30.0], log) == expected
+
+
+@pytest.mark.parametrize(("hour", "hours"), [(None, []), (1.5, [2])])
+def test_first_flight_follows_the_work(hour, hours):
+    flights = first_flights(fly([1.0, 2.0]), work((0, hour)), ("HX",))
+    assert flights["departed_at"].dt.hour().to_list() == hours
 
 
 def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
@@ -90,21 +110,26 @@ def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
     days=st.lists(st.tuples(st.integers(0, 9), st.none() | st.floats(0.0, 23.9)), max_size=4),
 )
 def test_modules_agree_on_units(hours, days):
-    results = answers(flown(hours), work(*days))
+    results = answers(fly(hours), work(*days))
     assert all(answer == results["records"] for answer in results.values()), results
 
 
-def test_lives_are_cut_at_replacement():
-    """A message on the day of the replacement ends the old unit's life, and the figure's zero is the first after it."""
-    flights = flown([24.0 * day + 6.0 * leg for day in range(60) for leg in range(4)])
-    log = work((40, None))
-    message = flights.slice(161, 1).select("operator", "tail", "pack", "flight_id", message_time="departed_at")
-    lives = episodes(flights, message.with_columns(code=pl.lit("21-52-HXTEMP")), log).filter(component="HX")
+FLIGHTS = fly([24.0 * day + 6.0 * leg for day in range(60) for leg in range(4)])
+LOG = work((40, None))
+
+
+def test_message_ends_the_old_life():
+    """On the day of the replacement."""
+    message = FLIGHTS.slice(161, 1).select("operator", "tail", "pack", "flight_id", message_time="departed_at")
+    lives = episodes(FLIGHTS, message.with_columns(code=pl.lit("21-52-HXTEMP")), LOG).filter(component="HX")
     assert lives.select("first_row", "end_row", "failed").rows() == [(0, 161, True), (164, 240, False)]
-    before = pl.col("departed_at") < flights["departed_at"][164]
-    share = flights.with_columns(ua_share=pl.when(before).then(0.7).otherwise(1.0))
-    _, rows = around_replacement(share, log)
-    assert rows.filter(n=0)["flight_id"].to_list() == [flights["flight_id"][164]]
+
+
+def test_figure_begins_at_first_new_flight():
+    before = pl.col("departed_at") < FLIGHTS["departed_at"][164]
+    share = FLIGHTS.with_columns(ua_share=pl.when(before).then(0.7).otherwise(1.0))
+    _, rows = around_replacement(share, LOG)
+    assert rows.filter(n=0)["flight_id"].to_list() == [FLIGHTS["flight_id"][164]]
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +140,7 @@ def truths() -> list[tuple[pl.DataFrame, pl.DataFrame]]:
             for seed in (3, 4) for a in simulate_fleet(seed, size)]  # fmt: skip
 
 
-def wrong(truths: list[tuple[pl.DataFrame, pl.DataFrame]], shift: dt.timedelta) -> tuple[int, int, int]:
+def count_errors(truths: list[tuple[pl.DataFrame, pl.DataFrame]], shift: dt.timedelta) -> tuple[int, int, int]:
     """Flights of an old part given to the new one, of a new one to the old, and how many replacements there were, where
     a day counts from its end less `shift`."""
     early = late = replacements = 0
@@ -131,8 +156,17 @@ def wrong(truths: list[tuple[pl.DataFrame, pl.DataFrame]], shift: dt.timedelta) 
 
 
 def test_no_old_unit_counts_as_new(truths):
-    early, late, replacements = wrong(truths, dt.timedelta())
+    early, _, replacements = count_errors(truths, dt.timedelta())
     assert replacements >= 6
     assert early == 0
-    assert late < 8 * replacements, "the price: a few flights of the new unit at the end of the old one's record"
-    assert wrong(truths, dt.timedelta(days=1))[0] > 0, "counted from its beginning, the day would make old units new"
+
+
+def test_few_new_flights_count_as_old(truths):
+    """The price: flights of the new unit at the end of the old one's record."""
+    _, late, replacements = count_errors(truths, dt.timedelta())
+    assert late < 8 * replacements
+
+
+def test_beginning_of_day_errs_early(truths):
+    """Counted from its beginning, the day would make old units new."""
+    assert count_errors(truths, dt.timedelta(days=1))[0] > 0

@@ -31,38 +31,57 @@ def test_same_seed_gives_same_fleet(fleet):
     assert not next(iter(simulate_fleet(12, SIZE))).snapshots.equals(fleet[0].snapshots)
 
 
-def test_snapshots_follow_the_contract(fleet):
+def test_snapshot_columns_follow_the_contract(fleet):
+    columns = ["flight_id", "report_time", "phase_code", "pack", *SENSORS]
     for aircraft in fleet:
-        columns = ["flight_id", "report_time", "phase_code", "pack", *SENSORS]
-        assert set(aircraft.snapshots.columns) <= set(columns)
-        assert [c for c in columns if c in aircraft.snapshots.columns] == aircraft.snapshots.columns
+        names = aircraft.snapshots.columns
+        assert names == [c for c in columns if c in names]
         assert aircraft.snapshots["report_time"].dtype == pl.Datetime("us", "UTC")
+
+
+def test_flight_ids_follow_the_contract(fleet):
+    for aircraft in fleet:
         assert aircraft.snapshots["flight_id"].str.contains(r"^[A-Z0-9-]{2,10}_\d{8}_\d{2}$").all()
+
+
+def test_snapshots_have_no_nan(fleet):
+    for aircraft in fleet:
         assert not aircraft.snapshots.select(pl.selectors.float().is_nan().any()).row(0)[0]
+
+
+def test_months_divide_the_snapshots(fleet):
+    for aircraft in fleet:
         assert sum(part.height for part in by_month(aircraft.snapshots).values()) == aircraft.snapshots.height
+
+
+def test_truth_has_every_flight(fleet):
     for aircraft in fleet:
         assert aircraft.health.height == 2 * SIZE.flights
-        arrived = set(aircraft.health.filter("arrived")["flight_id"])
-        assert set(aircraft.snapshots["flight_id"]) == arrived
         assert aircraft.health.sort("index")["departed_at"].is_sorted()
+        assert set(aircraft.snapshots["flight_id"]) == set(aircraft.health.filter("arrived")["flight_id"])
+
+
+def test_truth_has_equation_6():
     assert {"eq6_intercept_m", "eq6_slope_m_per_count"} <= set(design_truth(11)["parameter"])
 
 
+def pack_at_reference(seed: int, n: int):
+    """Design of a pack; its conditions and demand, n times."""
+    design = draw_design(np.random.default_rng(seed))
+    one = np.ones(n)
+    return design, packs.reference(one), packs.reference_demand(design, one), one
+
+
 def test_sound_pack_conserves_heat():
-    rng = np.random.default_rng(0)
-    design = draw_design(rng)
-    one = np.ones(1)
-    now = packs.reference(one)
-    demand = packs.reference_demand(design, one)
-    door = one * 0.4
-    hot_k, ram_k, flow, _ = packs.outlets(design, now, demand, door, packs.clean(one))
+    design, now, demand, one = pack_at_reference(0, 1)
+    hot_k, ram_k, flow, _ = packs.outlets(design, now, demand, one * 0.4, packs.clean(one))
     cold_k = now.tat_k + design.ram_heating_k
     lost_w = demand.flow_kg_s * mean_specific_heat_j_kg_k(demand.hot_in_k, hot_k) * (demand.hot_in_k - hot_k)
     np.testing.assert_allclose(lost_w, flow * mean_specific_heat_j_kg_k(cold_k, ram_k) * (ram_k - cold_k), rtol=1e-9)
-    design = draw_design(np.random.default_rng(1))
-    one = np.ones(3)
-    now = packs.reference(one)
-    demand = packs.reference_demand(design, one)
+
+
+def test_worn_compressor_heats_the_exchanger():
+    design, now, demand, one = pack_at_reference(1, 3)
     loss = np.array([0.0, 0.1, 0.2])
     inlet_pa, exit_pa = packs.compressor_pressures_pa(now)
     _, exit_k = packs.compressor_rows(
@@ -75,29 +94,33 @@ def test_sound_pack_conserves_heat():
 
 
 def test_controller_holds_its_target():
-    design = draw_design(np.random.default_rng(1))
-    n = 6
-    one = np.ones(n)
-    demand = packs.reference_demand(design, one)
+    """The door opens as the pack wears, and hides it while it can."""
+    design, now, demand, one = pack_at_reference(1, 6)
     demand = packs.Demand(demand.flow_kg_s, demand.hot_in_k, one * packs.sized_target_k(design))
-    blocked = packs.ExchangerWear(0.0 * one, np.linspace(0.0, 0.3, n), 0.0 * one, one)
-    door = packs.controlled_door(design, packs.reference(one), demand, blocked)
+    blocked = packs.ExchangerWear(0.0 * one, np.linspace(0.0, 0.3, one.size), 0.0 * one, one)
+    door = packs.controlled_door(design, now, demand, blocked)
     assert door[0] == pytest.approx(design.door_sizing, abs=0.002)
     assert (np.diff(door) > 0).all()
-    hot_k = packs.outlets(design, packs.reference(one), demand, door, blocked)[0]
+    hot_k = packs.outlets(design, now, demand, door, blocked)[0]
     np.testing.assert_allclose(hot_k[door < 0.99], demand.target_k[door < 0.99], atol=0.2)
 
 
-def test_blockage_exaggerates_apparent_loss():
-    design = draw_design(np.random.default_rng(2))
+def loss_ratios(film: list[float], blockage: list[float]):
+    """Conductance left, as it appears to one who trusts the clean duct, and ram flow left."""
     one = np.ones(3)
-    wear = packs.ExchangerWear(0 * one, np.array([0.0, 0.2, 0.4]), 0 * one, one)
-    ratio, apparent, ram = packs.loss_ratios(design, wear)
+    wear = packs.ExchangerWear(np.array(film), np.array(blockage), 0 * one, one)
+    return packs.loss_ratios(draw_design(np.random.default_rng(2)), wear)
+
+
+def test_blockage_exaggerates_apparent_loss():
+    ratio, apparent, ram = loss_ratios([0.0] * 3, [0.0, 0.2, 0.4])
     np.testing.assert_allclose([ratio[0], apparent[0], ram[0]], 1.0, atol=1e-6)
     assert (apparent[1:] < ratio[1:]).all()
     assert (ram[1:] < 1.0).all()
-    film = packs.ExchangerWear(np.array([0.0, 1e-4, 2e-4]), 0 * one, 0 * one, one)
-    ratio, apparent, ram = packs.loss_ratios(design, film)
+
+
+def test_film_leaves_ram_flow():
+    ratio, apparent, ram = loss_ratios([0.0, 1e-4, 2e-4], [0.0] * 3)
     np.testing.assert_allclose(ram, 1.0)
     np.testing.assert_allclose(ratio, apparent, atol=0.01)
 
@@ -170,10 +193,16 @@ def test_hazard_rises_with_loss():
     at = (left >= 0) & failed
     soon = [(left[at & (lives.loss >= a) & (lives.loss < a + 0.1)] < 30).mean() for a in (0.0, 0.1, 0.2)]
     assert (np.diff(soon) > 0).all()
+
+
+def test_offsets_spread_as_declared():
     quiet = replace(SMALL, noise_sd=1e-9, drift_sd=0.0, offset_sd=0.02, wash_share=0.0)
     lives = draw_episodes(3, quiet)
     offset = (lives.estimated_loss - lives.loss)[lives.age_known, 0]
     assert offset.std() == pytest.approx(0.01, rel=0.25)
+
+
+def test_washed_units_wear_less():
     washed = draw_episodes(4, replace(SMALL, wash_share=1.0, wash_every_flights=100.0))
     never = draw_episodes(4, replace(SMALL, wash_share=0.0))
     assert washed.loss[:, -1].mean() < 0.7 * never.loss[:, -1].mean()
@@ -198,10 +227,13 @@ def population(shape: str, units: int = 200, flights: int = 500, **kw: float) ->
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_wear_never_heals(shape):
+    assert (np.diff(population(shape), axis=1) >= -1e-12).all()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_wear_stays_a_fraction(shape):
     loss = population(shape)
-    assert (np.diff(loss, axis=1) >= -1e-12).all()
-    assert loss.min() >= 0.0
-    assert loss.max() <= 0.95
+    assert 0.0 <= loss.min() <= loss.max() <= 0.95
 
 
 @pytest.mark.parametrize(("shape", "sign"), [("accelerating", 1), ("asymptotic", -1), ("falling_rate", -1)])
@@ -216,9 +248,15 @@ def test_shapes_bend_as_named(shape, sign):
 def test_lives_end_at_reference_loss():
     loss = population("linear", life_log_sd=0.0, life_median_flights=400.0)
     assert np.median(loss[:, 400]) == pytest.approx(0.42, rel=0.02)
+
+
+def test_clogs_come_at_declared_rate():
     settings = WearSettings(life_median_flights=1e9, clog_rate=1 / 1000, shape_shares=(1.0, 0, 0, 0, 0))
     clog = draw_wear(np.random.default_rng(0), np.zeros(400), 500, settings).clog
     started = (np.diff(clog, axis=1) > 0.015).sum() / 3
     assert started == pytest.approx(200, rel=0.25)
+
+
+def test_same_seed_gives_same_wear():
     one, two = (draw_wear(np.random.default_rng(5), np.zeros(5), 50, WearSettings()).loss for _ in range(2))
     np.testing.assert_array_equal(one, two)
