@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from compressor_problem import AREA_M2, BETA_RAD, DIAMETER_M, compressor
+from small_problems import scalar_problem
 
 from hdt_core.estimation import Belief, ExtendedKalman, NonlinearLeastSquares, Problem, UnscentedKalman, unknown
 from hdt_core.estimation.declared import declared_problem
@@ -29,19 +30,34 @@ def line(noise=1.0, bend=0.0, seed=1, sigma=0.1):
     )
 
 
-def test_deviation_meets_cramer_rao_bound():
-    sound = NonlinearLeastSquares().estimate(line())
+@pytest.fixture(scope="module")
+def sound():
+    """Estimate of a line whose sigma is the true one."""
+    return NonlinearLeastSquares().estimate(line())
+
+
+def test_deviation_meets_cramer_rao_bound(sound):
     np.testing.assert_allclose(sound.belief.sd, sound.identifiability.bound_sd, rtol=1e-9)
-    estimate = NonlinearLeastSquares().estimate(line())
-    text = estimate.summary()
-    for word in ("nls", "converged", "chi-square", "reduced chi-square", "Akaike", "Bayesian", "model evaluations"):
-        assert word in text
-    assert "slope" in text
-    assert "(init 0)" in text
-    assert "C(slope, offset) = -0.86" in text  # of the design alone: -mean(x) / rms(x)
-    there = pickle.loads(pickle.dumps(estimate))
-    np.testing.assert_array_equal(there.fit.residuals, estimate.fit.residuals)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nls", "converged", "chi-square", "reduced chi-square", "Akaike", "Bayesian", "model evaluations", "slope",
+        "(init 0)", "C(slope, offset) = -0.86",  # of the design alone: -mean(x) / rms(x)
+    ],
+)  # fmt: skip
+def test_summary_prints_what_lmfit_prints(sound, text):
+    assert text in sound.summary()
+
+
+def test_estimate_survives_pickling(sound):
+    there = pickle.loads(pickle.dumps(sound))
+    np.testing.assert_array_equal(there.fit.residuals, sound.fit.residuals)
     assert "chi-square" in there.summary()
+
+
+def test_right_sigma_is_seldom_rejected():
     verdicts = [NonlinearLeastSquares().estimate(line(seed=seed)).fit.verdict for seed in range(400)]
     assert verdicts.count("adequate") >= 396  # 400 records, 2 in 1,000 each
 
@@ -60,39 +76,39 @@ def test_interval_follows_residual_scatter():
     assert np.mean(np.abs(slope - 2.0) < 1.645 * sd) == pytest.approx(0.9, abs=0.065)
 
 
-def test_innovations_judge_a_drifting_filter():
+def follow_walk(drift):
+    """A filter's estimate of a level that walks by 0.05."""
     rng = np.random.default_rng(3)
     level = 1.0 + np.cumsum(0.05 * rng.standard_normal(300))
+    measured = level + 0.2 * rng.standard_normal(300)
+    walk = scalar_problem(measured=measured, bounds=(-20.0, 20.0), start=1.0, sigma=0.2, drift=np.array([drift]))
+    return ExtendedKalman().estimate(walk)
 
-    def followed(drift):
-        return ExtendedKalman().estimate(
-            Problem(
-                names=("level",),
-                bounds=np.array([[-20.0, 20.0]]),
-                prior=unknown(np.array([1.0])),
-                measured=(level + 0.2 * rng.standard_normal(300))[:, None],
-                sigma=np.array([0.2]),
-                observe=lambda _x, theta, i: theta[:1] + 0.0 * np.asarray(i),
-                drift=np.array([drift]),
-            )
-        )
 
-    right = followed(0.05)
-    rigid = followed(0.001)
+def test_innovations_accept_true_drift():
+    right = follow_walk(0.05)
     assert (right.status, right.fit.verdict) == ("converged", "adequate")
-    assert rigid.fit.verdict == "lack_of_fit"
 
 
-def test_only_product_is_identifiable():
-    problem = compressor()
-    information = fisher(problem, np.array([AREA_M2, DIAMETER_M, BETA_RAD]))
+def test_innovations_reject_small_drift():
+    assert follow_walk(0.001).fit.verdict == "lack_of_fit"
+
+
+def test_information_has_rank_one():
+    information = fisher(compressor(), np.array([AREA_M2, DIAMETER_M, BETA_RAD]))
     assert not information.identifiable
     assert np.linalg.matrix_rank(information.scaled_information, tol=1e-6) == 1
     assert np.isinf(information.bound_sd).all()
-    estimate = NonlinearLeastSquares().estimate(problem)
+
+
+def test_only_product_is_identifiable():
+    estimate = NonlinearLeastSquares().estimate(compressor())
     assert estimate.status == "not_identifiable"
     product = estimate.belief.mean[0] * estimate.belief.mean[1] * np.tan(estimate.belief.mean[2])
     assert product == pytest.approx(AREA_M2 * DIAMETER_M * np.tan(BETA_RAD), rel=0.02)
+
+
+def test_prior_closes_open_direction():
     sd = np.array([0.001, 0.01, np.deg2rad(2.0)])
     estimate = NonlinearLeastSquares().estimate(compressor(Belief(np.array([0.0098, 0.11, 0.63]), np.diag(sd**2))))
     assert estimate.status == "converged"
@@ -170,6 +186,9 @@ def test_profile_ends_where_objective_rises():
         rows = np.column_stack([np.full(half.size, end), half])
         assert problem.objective(rows).min() - least == pytest.approx(RISE, rel=0.05)
     assert high - estimate.belief.mean[0] > 1.5 * (estimate.belief.mean[0] - low)  # which no curvature can say
+
+
+def test_open_profile_is_named():
     estimate = NonlinearLeastSquares().estimate(saturating(1, bounds=((0.0, 4.3), (0.0, 500.0))))
     assert estimate.status in ("weakly_identifiable", "at_bound")
     if estimate.status == "weakly_identifiable":

@@ -65,16 +65,23 @@ def log_likelihoods(filtered) -> list[float]:
     ]
 
 
+def log_likelihoods_of(problem, method):
+    return log_likelihoods(forward(problem, linearisation(method, 1)))
+
+
 @METHODS
-def test_nile_log_likelihood_from_wide_start(method):
-    # statsmodels' approximate diffuse start: variance 1e6 about zero, the first sample's term left out
-    filtered = forward(nile(1e6), linearisation(method, 1))
-    assert sum(log_likelihoods(filtered)[1:]) == pytest.approx(-632.537695048, abs=1e-8)
-    # the limit of an infinite variance: the first sample is the level, to its own noise; -632.5456 by KFAS in R
+def test_nile_likelihood_from_wide_start(method):
+    """Variance 1e6 about zero, the first sample's term left out: statsmodels' approximate diffuse start."""
+    assert sum(log_likelihoods_of(nile(1e6), method)[1:]) == pytest.approx(-632.537695048, abs=1e-8)
+
+
+@METHODS
+def test_nile_likelihood_from_diffuse_start(method):
+    """The limit of an infinite variance: the first sample is the level, to its own noise; -632.5456 by KFAS in R."""
     problem = nile(1.0)
     start = Belief(problem.measured[0], np.array([[15099.0 + 1469.1]]))
     rest = replace(problem, start=start, measured=problem.measured[1:])
-    assert sum(log_likelihoods(forward(rest, linearisation(method, 1)))) == pytest.approx(-632.5456, abs=5e-5)
+    assert sum(log_likelihoods_of(rest, method)) == pytest.approx(-632.5456, abs=5e-5)
 
 
 @METHODS
@@ -128,6 +135,7 @@ def test_linear_filter_equals_filterpy(method):
 
 @METHODS
 def test_smoother_equals_joint_solution(method):
+    """Of the linear equations of all samples at once."""
     problem, F, H = drawn_record(4, [0.1, 0.05, 0.2])
     ours = smooth(forward(problem, linearisation(method, 3)))
     k = len(problem.measured)
@@ -148,9 +156,14 @@ def test_smoother_equals_joint_solution(method):
     np.testing.assert_allclose([b.mean for b in ours], (cov @ vector).reshape(k, s), atol=1e-8)
     blocks = cov.reshape(k, s, k, s)[np.arange(k), :, np.arange(k)]
     np.testing.assert_allclose([b.cov for b in ours], blocks, atol=1e-8)
-    first = replace(problem, measured=problem.measured[:1])
-    (alone,) = smooth(forward(first, linearisation(method, 3)))  # nothing follows it: what the filter says
-    np.testing.assert_allclose(alone.cov, forward(first, linearisation(method, 3)).covs[0], atol=1e-12)
+
+
+@METHODS
+def test_last_sample_is_smoothed_as_filtered(method):
+    problem, *_ = drawn_record(4, [0.1, 0.05, 0.2])
+    filtered = forward(replace(problem, measured=problem.measured[:1]), linearisation(method, 3))
+    (alone,) = smooth(filtered)
+    np.testing.assert_allclose(alone.cov, filtered.covs[0], atol=1e-12)
 
 
 def regression_problem():
@@ -211,14 +224,19 @@ def test_indefinite_covariance_has_a_root():
         np.linalg.cholesky(indefinite)
     root = upper_root(indefinite)
     np.testing.assert_allclose(root.T @ root, indefinite, atol=1e-6)
-    root_of_zero = upper_root(np.diag([0.0, 4.0]))
-    assert (np.diag(root_of_zero) > 0.0).all()
-    np.testing.assert_allclose(root_of_zero.T @ root_of_zero, np.diag([0.0, 4.0]), atol=1e-9)
+
+
+def test_zero_variance_has_a_root():
+    root = upper_root(np.diag([0.0, 4.0]))
+    assert (np.diag(root) > 0.0).all()
+    np.testing.assert_allclose(root.T @ root, np.diag([0.0, 4.0]), atol=1e-9)
+
+
+@pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)
+def test_flat_prior_recovers_parameters(estimator):
     _, problem = regression_problem()
-    flat = problem.with_prior(unknown(np.zeros(2)))
-    for estimator in (ExtendedKalman(), UnscentedKalman()):
-        estimate = estimator.estimate(flat)
-        np.testing.assert_allclose(estimate.belief.mean, [1.5, -0.7], atol=0.1)
+    estimate = estimator.estimate(problem.with_prior(unknown(np.zeros(2))))
+    np.testing.assert_allclose(estimate.belief.mean, [1.5, -0.7], atol=0.1)
 
 
 @pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)

@@ -162,6 +162,9 @@ def test_steps_end_once_design_settles(sure):
 def test_step_is_half_at_most():
     far = PanelLeastSquares(max_steps=1).estimate(panel(prior=Belief(np.full(P, 4.0), 1e9 * np.eye(P))))[0]
     np.testing.assert_array_equal(far.belief.mean, 3.5)
+
+
+def test_derivatives_step_down_at_bound():
     slopes = forward_differences(lambda x: np.array([x[0] ** 2, x @ x]), np.ones(2), np.array([1.0, 2.0]),
                                  np.full(2, 0.5), np.array([1.5, 1.4]))  # fmt: skip
     np.testing.assert_allclose(slopes, [[2.5, 0.0], [2.5, 1.5]])
@@ -194,15 +197,19 @@ def test_unobserved_parameter_stays_open():
     assert np.isinf(estimate.belief.sd).tolist() == [False, False, True]
     assert estimate.belief.mean[2] == 0.0
     assert not estimate.identifiability.identifiable
-    none = slice(0, 0)
-    empty = panel(unit=UNIT[none], time=TIME[none])
+
+
+def test_empty_panel_keeps_its_priors():
+    empty = panel(unit=UNIT[:0], time=TIME[:0])
     estimate, units = PanelLeastSquares().estimate(empty)
     assert (estimate.status, estimate.belief, estimate.n_evals) == ("converged", empty.prior, 0)
     np.testing.assert_array_equal(units, empty.unit_mean)
+
+
+def test_single_row_updates_by_its_gain():
     one = panel(unit=UNIT[:1], time=TIME[:1], noise_sd=np.full((1, Q), 0.01), instruments=None, others=(),
                 levelled=Equation(lambda d, u: 0.4 + d[:1] + u[0], 0.03), prior_terms=lambda d: d[:0])  # fmt: skip
-    settings = PanelLeastSquares(max_steps=1)
-    estimate, units = settings.estimate(one)
+    estimate, units = PanelLeastSquares(max_steps=1).estimate(one)
     variance = 0.5**2 + 0.03**2 + (0.01**2 + 0.03**2) + one.unit_sd[0, 0] ** 2
     gain = one.prior.cov[:, 0] / (one.prior.cov[0, 0] + variance)
     np.testing.assert_allclose(estimate.belief.mean, -gain * (0.4 + one.unit_mean[0, 0]), rtol=1e-6)

@@ -28,23 +28,26 @@ def line(measured=None, prior=None, **more):
     )
 
 
+SWARM = np.random.default_rng(0).normal(size=(4, 2))
+
+
 def test_swarm_simulates_as_single_points():
-    problem = line()
-    thetas = np.random.default_rng(0).normal(size=(4, 2))
-    many = problem.simulate(thetas)
+    many = line().simulate(SWARM)
     assert many.shape == (4, 40, 1)
-    for row, outputs in zip(thetas, many, strict=True):
-        np.testing.assert_array_equal(problem.simulate(row), outputs)
-    np.testing.assert_allclose(problem.chi2(thetas), [np.sum(problem.residual(row) ** 2) for row in thetas])
+    np.testing.assert_array_equal(many, [line().simulate(row) for row in SWARM])
+
+
+def test_swarm_sums_squares_as_single_points():
+    np.testing.assert_allclose(line().chi2(SWARM), [np.sum(line().residual(row) ** 2) for row in SWARM])
+
+
+def test_half_record_is_others_prior():
     whole = line()
-    parts = []
-    for half in (slice(0, 20), slice(20, 40)):
-        measured = np.full((40, 1), np.nan)
-        measured[half] = whole.measured[half]
-        parts.append(measured)
+    halves = np.tile(whole.measured, (2, 1, 1))
+    halves[0, 20:] = halves[1, :20] = np.nan
     estimator = NonlinearLeastSquares()
-    first = estimator.estimate(replace(whole, measured=parts[0]))
-    second = estimator.estimate(replace(whole, measured=parts[1]).with_prior(first.belief))
+    first = estimator.estimate(replace(whole, measured=halves[0]))
+    second = estimator.estimate(replace(whole, measured=halves[1]).with_prior(first.belief))
     together = estimator.estimate(whole)
     np.testing.assert_allclose(second.belief.mean, together.belief.mean, atol=1e-9)
     np.testing.assert_allclose(second.belief.cov, together.belief.cov, atol=1e-9)
@@ -80,7 +83,10 @@ def test_filter_follows_drifting_parameter(estimator):
     assert estimate.path_sd[-1, 0] == pytest.approx(after, rel=0.02 if estimator.name == "ekf" else 0.25)
 
 
-def test_recovers_pole_under_process_noise():
+@pytest.mark.parametrize(
+    "estimator", [ParticleFilter(n_particles=2000), ExtendedKalman(smoother_passes=0)], ids=lambda e: e.name
+)
+def test_recovers_pole_under_process_noise(estimator):
     rng = np.random.default_rng(9)
     x = 0.0
     measured = []
@@ -98,10 +104,9 @@ def test_recovers_pole_under_process_noise():
         start=Belief(np.zeros(1), np.array([[0.01]])),
         process_sd=np.array([0.5]),
     )
-    for estimator in (ParticleFilter(n_particles=2000), ExtendedKalman(smoother_passes=0)):
-        estimate = estimator.estimate(problem)
-        assert abs(estimate.belief.mean[0] - 0.8) < 4.0 * estimate.belief.sd[0]
-        assert estimate.belief.sd[0] < 0.15
+    estimate = estimator.estimate(problem)
+    assert abs(estimate.belief.mean[0] - 0.8) < 4.0 * estimate.belief.sd[0]
+    assert estimate.belief.sd[0] < 0.15
 
 
 TIME = np.tile(np.linspace(0.0, 3.0, 12), 7)
@@ -156,10 +161,15 @@ def test_failed_model_diverges_alone():
     statuses = [e.status for e in estimate_each(NonlinearLeastSquares(), batch)]
     assert [b for b, status in enumerate(statuses) if status == "diverged"] == [2]
     assert statuses[:2] == ["converged"] * 2
-    with pytest.raises(ValueError, match="without states"):
-        decays(transition=lambda x, _t, _i: x)
-    with pytest.raises(ValueError, match="every sample"):
-        decays(group=GROUP[:-1])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"transition": lambda x, _t, _i: x}, "without states"), ({"group": GROUP[:-1]}, "every sample")],
+)
+def test_contradictory_batch_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        decays(**change)
 
 
 def test_sequence_starts_from_last_converged():
@@ -181,8 +191,9 @@ def test_sequence_starts_from_last_converged():
     assert starts[1] != starts[0]
 
 
-def test_reweighted_steps_are_hubers_location():
-    """Of each group: the weighted mean of ten, whose weights fall beyond 1.345 deviations from the last centre."""
+@pytest.mark.parametrize(("number", "centre"), [(0, 0.1), (1, 5.0)])
+def test_reweighted_steps_are_hubers_location(number, centre):
+    """Of each group: the weighted mean, whose weights fall beyond 1.345 deviations from the last centre."""
     y = np.array([0.0, 0.1, -0.2, 0.3, 9.0, 5.0, 5.1, 4.8, -3.0, 5.2])
     group = np.repeat([0, 1], 5)
     sd = 0.3
@@ -190,10 +201,9 @@ def test_reweighted_steps_are_hubers_location():
                     lambda _x, theta, i: (theta[0] + 0.0 * i)[None], group=group)  # fmt: skip
     weights = lambda residual: 1.0 / np.maximum(1.0, np.abs(residual) / 1.345)  # noqa: E731
     theta, cov = gauss_newton(batch, np.array([[0.1], [5.0]]), 3, weights)
-    for b, centre in enumerate((0.1, 5.0)):
-        own = y[group == b]
-        for _ in range(3):
-            weight = 1.0 / np.maximum(1.0, np.abs(own - centre) / (1.345 * sd))
-            centre = (weight * own).sum() / weight.sum()  # noqa: PLW2901
-        np.testing.assert_allclose(theta[b, 0], centre, rtol=1e-9)
-        np.testing.assert_allclose(cov[b, 0, 0], sd**2 / weight.sum(), rtol=1e-6)
+    own = y[group == number]
+    for _ in range(3):
+        weight = 1.0 / np.maximum(1.0, np.abs(own - centre) / (1.345 * sd))
+        centre = (weight * own).sum() / weight.sum()
+    np.testing.assert_allclose(theta[number, 0], centre, rtol=1e-9)
+    np.testing.assert_allclose(cov[number, 0, 0], sd**2 / weight.sum(), rtol=1e-6)
