@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_problems import scalar_problem
 
 from hdt_core.estimation import Belief, NonlinearLeastSquares, ParticleSwarm, Problem, descent, unknown
 from hdt_core.estimation.compiled import (
@@ -17,7 +18,7 @@ from hdt_core.estimation.compiled import (
 from hdt_core.estimation.conclude import conclude_at
 from hdt_core.estimation.declared import declared_problem
 from hdt_core.estimation.descent import Point, descend, distance_to_optimum
-from hdt_core.estimation.fit import Identifiability, invert_information
+from hdt_core.estimation.fit import invert_information
 from hdt_core.physics.model import Param, PhysicsModel, Signal, State
 
 NORMAL = np.array([[4.0, 1.0, -0.5], [1.0, 9.0, 2.0], [-0.5, 2.0, 3.0]])
@@ -59,34 +60,65 @@ def test_damping_follows_nielsen(damping, won, promised, after):
     assert next_damping(damping, 4.0, won, promised) == pytest.approx(after, rel=1e-12)
 
 
-def test_last_step_gains_next_to_nothing():
-    """A hundred-millionth of the residuals' variance, 1e-22 without noise; a trillionth of the objective if unpaid."""
-    for sign in (1.0, -1.0):
-        assert [is_settled(sign * share * 1e-8 * 500.0 / 50, 500.0, 50) for share in (0.99, 1.01)] == [True, False]
-        assert [is_settled(sign * share * 1e-22, 0.0, 50) for share in (0.99, 1.01)] == [True, False]
-        assert [is_exhausted(sign * share * 1e-12 * 500.0, 0.0, 500.0) for share in (0.99, 1.01)] == [True, False]
+BOX = Problem(("a", "b", "c", "d"), np.array([[-1.0, 3.0], [-np.inf, np.inf], [-np.inf, 5.0], [2.0, 2.0]]),
+              Belief(np.array([0.0, 1.0, 4.0, 0.0]), np.diag([1.0, 4.0, np.inf, np.inf])), np.zeros((1, 1)), np.ones(1),
+              lambda _x, theta, i: (theta[0] ** 2 + theta[1] * theta[2] + 0.0 * i)[None])  # fmt: skip
+BEYOND = pytest.mark.parametrize(("share", "expected"), [(0.99, True), (1.01, False)])
+
+
+@BEYOND
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_settled_step_gains_next_to_nothing(sign, share, expected):
+    """A hundred-millionth of the residuals' variance; 1e-22 without noise."""
+    assert is_settled(sign * share * 1e-8 * 500.0 / 50, 500.0, 50) == expected
+    assert is_settled(sign * share * 1e-22, 0.0, 50) == expected
+
+
+@BEYOND
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_unpaid_step_exhausts_the_descent(sign, share, expected):
+    """One that promised a trillionth of the objective."""
+    assert is_exhausted(sign * share * 1e-12 * 500.0, 0.0, 500.0) == expected
+
+
+def test_paid_step_exhausts_nothing():
     assert not is_exhausted(0.0, 1e-9, 500.0)
-    # Bounds, else four deviations of the prior, else ten times the start or ten.
-    np.testing.assert_allclose(BOX.search_box, [[-1.0, -7.0, -36.0, 2.0], [3.0, 9.0, 5.0, 2.0]])
-    origin = replace(BOX, prior=unknown(np.array([0.0, 0.5, 0.0, 0.0])))
-    np.testing.assert_allclose(origin.search_box[1], [3.0, 10.5, 5.0, 2.0])
 
 
-def test_optimum_equals_linear_algebra():
+@pytest.mark.parametrize(
+    ("prior", "box"),
+    [
+        (None, [[-1.0, -7.0, -36.0, 2.0], [3.0, 9.0, 5.0, 2.0]]),
+        (unknown(np.array([0.0, 0.5, 0.0, 0.0])), [[-1.0, -9.5, -10.0, 2.0], [3.0, 10.5, 5.0, 2.0]]),
+    ],
+)
+def test_search_box_bounds_every_parameter(prior, box):
+    """Bounds, else four deviations of the prior, else ten times the start or ten."""
+    np.testing.assert_allclose((BOX if prior is None else replace(BOX, prior=prior)).search_box, box)
+
+
+def test_inverse_equals_numpy():
     inverse, determinant = inverse_spd(NORMAL)
     np.testing.assert_allclose(inverse, np.linalg.inv(NORMAL), rtol=1e-12)
     assert determinant == pytest.approx(np.linalg.det(NORMAL) / (4.0 * 9.0 * 3.0))
-    for singular in ([[1.0, 0.0], [0.0, 0.0]], [[1.0, 1.0], [1.0, 1.0]]):
-        assert inverse_spd(np.array(singular))[1] == 0.0
+
+
+@pytest.mark.parametrize("singular", [[[1.0, 0.0], [0.0, 0.0]], [[1.0, 1.0], [1.0, 1.0]]])
+def test_singular_matrix_has_no_determinant(singular):
+    assert inverse_spd(np.array(singular))[1] == 0.0
+
+
+@pytest.mark.parametrize(("share", "is_off"), [(0.9, False), (1.1, True)])
+@pytest.mark.parametrize("side", [0, 1])
+def test_optimum_equals_linear_algebra(share, is_off, side):
+    """Inverse, determinant, decrement, and whether it lies off its bounds by a thousandth of a deviation."""
     gradient = np.array([0.3, -0.2, 0.1])
-    sd = np.sqrt(np.diag(np.linalg.inv(NORMAL)))
-    for share, off in ((0.9, False), (1.1, True)):
-        for side in (0, 1):
-            bounds = np.tile([-9.0, 9.0], (3, 1))
-            bounds[1, side] = (2 * side - 1) * share * 1e-3 * sd[1]
-            optimum = assess_optimum(NORMAL, gradient, np.zeros(3), bounds)
-            np.testing.assert_allclose(optimum[0], inverse)
-            assert optimum[1:] == pytest.approx((determinant, np.sqrt(gradient @ inverse @ gradient), off))
+    inverse, determinant = inverse_spd(NORMAL)
+    bounds = np.tile([-9.0, 9.0], (3, 1))
+    bounds[1, side] = (2 * side - 1) * share * 1e-3 * np.sqrt(np.linalg.inv(NORMAL)[1, 1])
+    optimum = assess_optimum(NORMAL, gradient, np.zeros(3), bounds)
+    np.testing.assert_allclose(optimum[0], inverse)
+    assert optimum[1:] == pytest.approx((determinant, np.sqrt(gradient @ inverse @ gradient), is_off))
 
 
 TIME = np.linspace(0.0, 3.0, 9)
@@ -144,13 +176,18 @@ def test_descent_equals_hand_steps(start, most):
 
 def test_descent_ends_after_200_steps(monkeypatch):
     monkeypatch.setattr(descent, "damped_step", lambda *_: (np.array([-1.0]), 1e3))
-    one = Problem(("x",), np.array([[-9e9, 9e9]]), unknown(np.zeros(1)), np.zeros((1, 1)), np.ones(1),
-                  lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
-    point = descend(one, np.array([1000.0]))
+    point = descend(scalar_problem(bounds=(-9e9, 9e9)), np.array([1000.0]))
     assert (point.theta.tolist(), point.n_evals) == ([800.0], 3 + 200 * 4)
-    point = descend(decay((1.0, -1000.0)), np.array([1.0, -1000.0]), n_evals=3)
+
+
+def test_descent_stays_without_an_answer():
+    nowhere = decay((1.0, -1000.0))
+    point = descend(nowhere, np.array([1.0, -1000.0]), n_evals=3)
     assert (point.objective, point.n_evals, point.theta.tolist()) == (np.inf, 3 + 5, [1.0, -1000.0])
-    assert conclude_at(decay((1.0, -1000.0)), point).status == "diverged"
+    assert conclude_at(nowhere, point).status == "diverged"
+
+
+def test_least_squares_takes_200_steps():
     assert (NonlinearLeastSquares().max_steps, NonlinearLeastSquares().name) == (200, "nls")
 
 
@@ -194,37 +231,30 @@ def test_distance_to_optimum_within_bounds(normal, gradient, theta, bounds, dist
 
 
 def test_unseen_direction_has_infinite_variance():
+    """And leaves no covariance with the rest."""
     inverse, is_regular = invert_information(np.array([[4.0, 4.0, 1.0], [4.0, 4.0, 1.0], [1.0, 1.0, 25.0]]))
     np.testing.assert_allclose(inverse, [[np.inf, 0, 0], [0, np.inf, 0], [0, 0, 1.0 / (25.0 - 0.25)]], atol=1e-9)
     assert not is_regular
-    for share, finite in ((0.95e-6, True), (1.05e-6, False)):  # of the open direction, from which it opens a parameter
-        open_way = np.array([np.sqrt(0.5), -np.sqrt(0.5), share / np.sqrt(2.0)])
-        cov = invert_information(np.eye(3) - np.outer(open_way, open_way) / (open_way @ open_way))[0]
-        assert np.isfinite(np.diag(cov)).tolist() == [False, False, finite]
-    for gap, is_identifiable in (
-        (2.1e-14, True),
-        (1.9e-14, False),
-    ):  # a condition (2 - gap) / gap of 1e14 is as good as a zero
-        pair = np.array([[1.0, 1.0 - gap], [1.0 - gap, 1.0]])
-        assert invert_information(pair)[1] == is_identifiable
-        assert Identifiability(("a", "b"), pair).identifiable == is_identifiable
 
 
-BOX = Problem(("a", "b", "c", "d"), np.array([[-1.0, 3.0], [-np.inf, np.inf], [-np.inf, 5.0], [2.0, 2.0]]),
-              Belief(np.array([0.0, 1.0, 4.0, 0.0]), np.diag([1.0, 4.0, np.inf, np.inf])), np.zeros((1, 1)), np.ones(1),
-              lambda _x, theta, i: (theta[0] ** 2 + theta[1] * theta[2] + 0.0 * i)[None])  # fmt: skip
+@pytest.mark.parametrize(("share", "is_finite"), [(0.95e-6, True), (1.05e-6, False)])
+def test_millionth_of_open_direction_counts(share, is_finite):
+    """From so much of the open direction on a parameter is open."""
+    open_way = np.array([np.sqrt(0.5), -np.sqrt(0.5), share / np.sqrt(2.0)])
+    cov = invert_information(np.eye(3) - np.outer(open_way, open_way) / (open_way @ open_way))[0]
+    assert np.isfinite(np.diag(cov)).tolist() == [False, False, is_finite]
+
+
+WITHIN = replace(decay((1.0, 1.0)), bounds=np.tile([0.5, 4.0], (2, 1)))
 
 
 def test_swarm_follows_clerc_kennedy():
-    problem = replace(decay((1.0, 1.0)), bounds=np.tile([0.5, 4.0], (2, 1)))
     rng = np.random.default_rng(5)
-    lower = 0.5
-    width = 3.5
-    at = lower + width * rng.random((6, 2))
+    at = 0.5 + 3.5 * rng.random((6, 2))
     at[0] = 1.0
-    speed = 0.1 * width * (2.0 * rng.random((6, 2)) - 1.0)
+    speed = 0.1 * 3.5 * (2.0 * rng.random((6, 2)) - 1.0)
     own = at.copy()
-    best = problem.objective(at)
+    best = WITHIN.objective(at)
     for _ in range(12):
         pull = rng.random((2, 6, 2))
         leader = own[np.argmin(best)].copy()
@@ -235,23 +265,36 @@ def test_swarm_follows_clerc_kennedy():
                 free = at[p, j] + speed[p, j]
                 at[p, j] = min(max(free, 0.5), 4.0)
                 speed[p, j] *= free == at[p, j]
-        now = problem.objective(at)
+        now = WITHIN.objective(at)
         own[now < best] = at[now < best]
         best = np.minimum(now, best)
     cloud: list = []
-    recorded = replace(problem, observe=lambda x, t, i: (cloud.append(t), problem.observe(x, t, i))[1])
-    flown = ParticleSwarm(n_particles=6, n_iterations=12, seed=5).search(recorded)
+    recorded = replace(WITHIN, observe=lambda x, t, i: (cloud.append(t), WITHIN.observe(x, t, i))[1])
+    result = ParticleSwarm(n_particles=6, n_iterations=12, seed=5).search(recorded)
     np.testing.assert_allclose(cloud[-1][:, :, 0].T, at, rtol=1e-9)
-    np.testing.assert_allclose(flown.best, own[np.argmin(best)], rtol=1e-9)
-    assert (flown.objective, flown.n_evals) == (pytest.approx(best.min()), 78)
-    plain = ParticleSwarm(polish=False)
-    assert plain.estimate(problem).n_evals == 30 * 101
-    assert (plain.inertia, plain.cognitive, plain.social, plain.seed) == (0.7298, 1.49618, 1.49618, 0)
-    flown = ParticleSwarm().search(problem)
-    np.testing.assert_array_equal(plain.estimate(problem).belief.mean, flown.best)
-    assert ParticleSwarm().estimate(problem).n_evals > 30 * 101
-    assert ParticleSwarm().estimate(problem).status == "converged"
-    assert ParticleSwarm(n_iterations=1, polish=False).estimate(problem).status == "max_steps"
+    np.testing.assert_allclose(result.best, own[np.argmin(best)], rtol=1e-9)
+    assert (result.objective, result.n_evals) == (pytest.approx(best.min()), 78)
+
+
+def test_swarm_has_clerc_kennedy_constants():
+    swarm = ParticleSwarm()
+    assert (swarm.inertia, swarm.cognitive, swarm.social, swarm.seed) == (0.7298, 1.49618, 1.49618, 0)
+
+
+def test_unpolished_swarm_reports_its_search():
+    estimate = ParticleSwarm(polish=False).estimate(WITHIN)
+    assert estimate.n_evals == 30 * 101
+    np.testing.assert_array_equal(estimate.belief.mean, ParticleSwarm().search(WITHIN).best)
+
+
+def test_polish_converges_after_the_search():
+    estimate = ParticleSwarm().estimate(WITHIN)
+    assert estimate.n_evals > 30 * 101
+    assert estimate.status == "converged"
+
+
+def test_short_search_does_not_converge():
+    assert ParticleSwarm(n_iterations=1, polish=False).estimate(WITHIN).status == "max_steps"
 
 
 TANK = PhysicsModel(
@@ -275,45 +318,74 @@ def tank(**more) -> Problem:
 
 
 def test_declared_state_steps_by_euler():
-    problem = tank(dt_s=0.4, flights_per_sample=4.0)
     x1 = 1.5 + 0.4 * (0.2 - 0.7 * 1.5)
     x2 = x1 + 0.4 * (0.0 - 0.7 * x1)
-    np.testing.assert_allclose(problem.simulate(np.array([0.7]))[:, 0], [1.5, x1, x2])
+    np.testing.assert_allclose(tank(dt_s=0.4).simulate(np.array([0.7]))[:, 0], [1.5, x1, x2])
+
+
+def test_half_steps_are_twice_as_fine():
     half = 1.5 + 0.2 * (0.2 - 0.7 * 1.5)
     fine = half + 0.2 * (0.2 - 0.7 * half)
-    np.testing.assert_allclose(problem.half_steps(np.array([1.5]), np.array([0.7]), 0), [fine])
-    np.testing.assert_allclose(problem.drift, [0.06])
+    np.testing.assert_allclose(tank(dt_s=0.4).half_steps(np.array([1.5]), np.array([0.7]), 0), [fine])
+
+
+@pytest.mark.parametrize(("more", "drift"), [({"flights_per_sample": 4.0}, 0.06), ({}, 0.0)])
+def test_drift_grows_with_root_of_flights(more, drift):
+    np.testing.assert_allclose(tank(**more).drift, [drift])
+
+
+def test_declared_problem_takes_nominal_values():
+    problem = tank()
     assert (problem.sigma.tolist(), problem.prior.mean.tolist(), problem.names) == ([0.2], [0.5], ("rate",))
     assert np.isinf(problem.prior.cov).all()
     assert (problem.start.mean.tolist(), problem.start.cov.tolist()) == ([1.5], [[0.0]])
-    plain = tank()
-    assert plain.drift.tolist() == [0.0]
-    np.testing.assert_allclose(plain.transition(np.array([1.5]), np.array([0.7]), 0), [1.5 + 0.2 - 0.7 * 1.5])
-    # both outputs, the second before the first is no matter: by name
+
+
+def test_samples_are_a_second_apart():
+    np.testing.assert_allclose(tank().transition(np.array([1.5]), np.array([0.7]), 0), [1.5 + 0.2 - 0.7 * 1.5])
+
+
+def test_outputs_are_matched_by_name():
     measured = {"twice": np.ones(2), "level": np.zeros(2)}
     both = declared_problem(TANK, ["rate", "gain"], {"inflow": np.zeros(2)}, measured)
     np.testing.assert_allclose(both.simulate(np.array([0.5, 0.9]))[0], [1.35, 3.0])
     np.testing.assert_allclose((both.measured[0], both.sigma), ([0.0, 1.0], [0.2, 0.4]))
 
 
-def test_step_error_is_its_propagated_change():
-    problem = tank(dt_s=0.4)
-    estimate = NonlinearLeastSquares().estimate(problem)
-    rate = estimate.belief.mean[0]
+@pytest.fixture(scope="module")
+def tank_estimate():
+    return NonlinearLeastSquares().estimate(tank(dt_s=0.4))
+
+
+def test_step_error_is_its_propagated_change(tank_estimate):
+    """The change of the outputs by half the step, through least squares."""
+    rate = tank_estimate.belief.mean[0]
     coarse = 1.0 - 0.4 * rate
     fine = 1.0 - 0.2 * rate
     outputs = np.array([1.5 * coarse + 0.08]), np.array([(1.5 * fine + 0.04) * fine + 0.04])
     change = (outputs[1] - outputs[0]) / 0.2
     slope = -0.4 * 1.5 / 0.2
     expected = -change / slope * abs(slope)
-    np.testing.assert_allclose(estimate.step_error, expected / (estimate.belief.sd * abs(slope)), rtol=1e-5)
-    lines = estimate.summary().splitlines()
-    error = f"    error of the step    = {abs(estimate.step_error[0]):.2g} standard deviations"
+    np.testing.assert_allclose(tank_estimate.step_error, expected / (tank_estimate.belief.sd * abs(slope)), rtol=1e-5)
+
+
+def test_summary_states_step_error(tank_estimate):
+    lines = tank_estimate.summary().splitlines()
+    error = f"    error of the step    = {abs(tank_estimate.step_error[0]):.2g} standard deviations"
     assert lines.index(error) == lines.index("[[Parameters]]") - 1
-    assert replace(estimate, problem=replace(problem, half_steps=None)).step_error is None
-    assert replace(estimate, problem=None).step_error is None
-    assert replace(estimate, status="diverged").step_error is None
+
+
+@pytest.mark.parametrize(
+    "change", [{"problem": replace(tank(dt_s=0.4), half_steps=None)}, {"problem": None}, {"status": "diverged"}]
+)
+def test_step_error_needs_an_answer(tank_estimate, change):
+    assert replace(tank_estimate, **change).step_error is None
+
+
+def test_fit_needs_its_problem(tank_estimate):
     with pytest.raises(ValueError, match="without its problem"):
-        _ = replace(estimate, problem=None).fit
-    diverged = replace(estimate, status="diverged").fit
-    assert not diverged.slope.any()
+        _ = replace(tank_estimate, problem=None).fit
+
+
+def test_diverged_fit_has_no_slope(tank_estimate):
+    assert not replace(tank_estimate, status="diverged").fit.slope.any()
