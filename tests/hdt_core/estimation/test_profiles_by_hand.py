@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import qmc
+from small_problems import SLOPES, X, line_through, scalar_problem
 
 from hdt_core.estimation import Belief, NonlinearLeastSquares, Problem, optimum_checks, unknown
 from hdt_core.estimation.conclude import conclude
@@ -22,16 +23,15 @@ from hdt_core.estimation.optimum_checks import (
 )
 
 
-def bend(c, bounds=(-np.inf, np.inf), prior=None):
+def bend(c, bounds=(-np.inf, np.inf), **more):
     """A cubic x + c x^3 seen as 0 with a sigma of 1, and its optimum."""
-    problem = Problem(("x",), np.array([bounds]), prior or unknown(np.zeros(1)), np.zeros((1, 1)), np.ones(1),
-                      lambda _x, t, i: (t[0] + c * t[0] ** 3 + 0.0 * i)[None])  # fmt: skip
+    problem = scalar_problem(lambda x: x + c * x**3, bounds=bounds, **more)
     normal = np.ones((1, 1)) + problem.prior.information
     return problem, Point(np.zeros(1), 0.0, np.zeros(1), normal)
 
 
 @pytest.mark.parametrize(
-    ("c", "bounds", "variance", "has_prior", "bent"),
+    ("c", "bounds", "variance", "has_prior", "is_bent"),
     [
         # (1 + 4 c)^2 against 2 and a half
         (0.102, (-9, 9), 1.0, False, False), (0.105, (-9, 9), 1.0, False, True),
@@ -46,12 +46,15 @@ def bend(c, bounds=(-np.inf, np.inf), prior=None):
         (2.0, (-0.62, 0.65), 1.0, True, True), (2.0, (-1.24, 1.24), 4.0, True, False),
     ],
 )  # fmt: skip
-def test_bent_likelihood_is_nonquadratic(c, bounds, variance, has_prior, bent):
-    problem, at = bend(c, bounds, Belief(np.zeros(1), np.array([[1e6]])) if has_prior else None)
-    assert is_nonquadratic(problem, [at], np.array([variance])).tolist() == [bent]
+def test_bent_likelihood_is_nonquadratic(c, bounds, variance, has_prior, is_bent):
+    """From half or twice the rise that the curvature foresees."""
+    problem, at = bend(c, bounds, **({"prior": Belief(np.zeros(1), np.array([[1e6]]))} if has_prior else {}))
+    assert is_nonquadratic(problem, [at], np.array([variance])).tolist() == [is_bent]
 
 
-def test_bend_shows_along_principal_axes():
+@pytest.mark.parametrize(("second", "is_bent"), [(5.0, False), (1.0, True)])
+def test_bend_shows_along_principal_axes(second, is_bent):
+    """Beside a fixed parameter."""
     pair = Problem(
         ("x", "y", "z"),
         np.array([[-9.0, 9.0], [3.0, 3.0], [-9.0, 9.0]]),
@@ -60,66 +63,77 @@ def test_bend_shows_along_principal_axes():
         np.ones(1),
         lambda _x, t, i: np.where(np.asarray(i) == 0, t[0] + t[2] + 0.1 * t[2] ** 3, 2.0 * t[2])[None],
     )
-    at = Point(np.array([0.0, 3.0, 0.0]), 0.0, np.zeros(3), np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 5.0]]))
-    assert not is_nonquadratic(pair, [at], np.ones(1))
-    assert is_nonquadratic(pair, [replace(at, normal=np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, 1.0]]))], np.ones(1))
+    at = Point(np.array([0.0, 3.0, 0.0]), 0.0, np.zeros(3), np.array([[1.0, 0, 1.0], [0, 0, 0], [1.0, 0, second]]))
+    assert is_nonquadratic(pair, [at], np.ones(1)) == is_bent
 
 
 def line(cloud=None, **more) -> Problem:
-    x = np.linspace(-1.0, 2.0, 12)
+    """A straight line without noise; `cloud` gathers the parameters that are tried."""
+    problem = line_through(1.0 + 0.5 * X, **more)
+    if cloud is None:
+        return problem
+    return replace(problem, observe=lambda x, theta, i: (cloud.append(theta), problem.observe(x, theta, i))[1])
 
-    def observe(_x, theta, i):
-        if cloud is not None:
-            cloud.append(theta)
-        return (theta[0] + theta[1] * x[i])[None]
 
-    fields = {"names": ("offset", "slope"), "bounds": np.tile([-50.0, 50.0], (2, 1)), "prior": unknown(np.zeros(2)),
-             "measured": (1.0 + 0.5 * x)[:, None], "sigma": np.array([0.1]), "observe": observe}  # fmt: skip
-    return Problem(**(fields | more))
+OPTIMUM = descend(line(), np.zeros(2))
+COV = np.linalg.inv(OPTIMUM.normal)
+
+
+def test_rise_is_that_of_95_percent():
+    assert pytest.approx(1.959964**2, rel=1e-6) == RISE
 
 
 @pytest.mark.parametrize("variance", [1.0, 4.0])
 def test_line_profile_equals_deviation(variance):
-    cloud: list = []
-    problem = line(cloud)
-    at = descend(problem, np.zeros(2))
-    cov = np.linalg.inv(at.normal)
-    cloud.clear()
-    half = np.sqrt(RISE * variance * np.diag(cov))
-    assert pytest.approx(1.959964**2, rel=1e-6) == RISE
-    profile = profile_intervals(problem, at, cov, variance)
+    half = np.sqrt(RISE * variance * np.diag(COV))
+    profile = profile_intervals(line(), OPTIMUM, COV, variance)
     np.testing.assert_allclose(profile.interval, np.array([1.0, 0.5])[:, None] + np.outer(half, [-1.0, 1.0]), rtol=0.02)
-    passes = sum(theta[0].size for theta in cloud)  # of which a descent's first look at its start is not counted
-    assert 0.9 * passes < profile.n_evals <= passes
     assert not profile.open.any()
     assert profile.better is None
-    fixed = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.5, 0.5]])), at, cov, variance)
-    np.testing.assert_allclose(fixed.interval[1], 0.5, rtol=1e-6)
-    assert not fixed.open.any()
-    wall = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [-50.0, 0.51]])), at, cov, variance)
-    assert (wall.interval[1, 1], wall.open.tolist()) == (0.51, [[False, False], [False, True]])
-    wall = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.49, 50.0]])), at, cov, variance)
-    assert (wall.interval[1, 0], wall.open.tolist()) == (0.49, [[False, False], [True, False]])
+
+
+@pytest.mark.parametrize("variance", [1.0, 4.0])
+def test_profile_counts_its_passes(variance):
+    """But for a descent's first look at its start."""
+    cloud: list = []
+    profile = profile_intervals(line(cloud), OPTIMUM, COV, variance)
+    passes = sum(theta[0].size for theta in cloud)
+    assert 0.9 * passes < profile.n_evals <= passes
+
+
+@pytest.mark.parametrize("variance", [1.0, 4.0])
+def test_fixed_parameter_has_closed_profile(variance):
+    profile = profile_intervals(line(bounds=np.array([[-50.0, 50.0], [0.5, 0.5]])), OPTIMUM, COV, variance)
+    np.testing.assert_allclose(profile.interval[1], 0.5, rtol=1e-6)
+    assert not profile.open.any()
+
+
+@pytest.mark.parametrize("variance", [1.0, 4.0])
+@pytest.mark.parametrize(("bounds", "side"), [((-50.0, 0.51), 1), ((0.49, 50.0), 0)])
+def test_profile_is_open_at_bound(variance, bounds, side):
+    profile = profile_intervals(line(bounds=np.array([[-50.0, 50.0], bounds])), OPTIMUM, COV, variance)
+    assert profile.interval[1, side] == bounds[side]
+    assert profile.open.tolist() == [[False, False], [side == 0, side == 1]]
 
 
 def test_refit_follows_fixed_parameter():
     """The guess is the optimum of a straight line: two objectives, one linearisation, and no step."""
-    problem = line()
-    at = descend(problem, np.zeros(2))
-    point = _refit_fixed(problem, at, 1, 0.7)
-    theta = [1.0 - at.normal[0, 1] / at.normal[0, 0] * 0.2, 0.7]
+    point = _refit_fixed(line(), OPTIMUM, 1, 0.7)
+    theta = [1.0 - OPTIMUM.normal[0, 1] / OPTIMUM.normal[0, 0] * 0.2, 0.7]
     np.testing.assert_allclose(point.theta, theta, rtol=1e-9)
     assert point.n_evals == 2 + 5
-    # The objective ((e^x - 1) / 0.6)^2 rises to 2.8 downwards, however far.
-    problem = Problem(("x",), np.array([[-np.inf, np.inf]]), unknown(np.zeros(1)), np.ones((1, 1)), np.array([0.6]),
-                      lambda _x, t, i: np.exp(t[0] + 0.0 * i)[None])  # fmt: skip
-    at = descend(problem, np.zeros(1))
-    profile = profile_intervals(problem, at, np.array([[0.36]]))
-    assert (profile.interval[0, 0], profile.open.tolist(), profile.without_limit) == (-np.inf, [[True, False]], ("x",))
-    # without a deviation the first stretch is the value's own size, at least 1
-    for blind in (np.inf, 0.0):
-        interval = profile_intervals(problem, at, np.array([[blind]])).interval
-        np.testing.assert_allclose(interval, profile.interval, rtol=0.02)
+
+
+@pytest.mark.parametrize("variance", [0.36, np.inf, 0.0])
+def test_flat_side_has_no_limit(variance):
+    """The objective ((e^x - 1) / 0.6)^2 rises to 2.8 downwards, however far, and by 3.84 where e^x is 1 + 1.96 * 0.6.
+
+    Without a deviation the first stretch is the value's own size, at least 1.
+    """
+    problem = scalar_problem(np.exp, 1.0, sigma=0.6)
+    profile = profile_intervals(problem, descend(problem, np.zeros(1)), np.array([[variance]]))
+    np.testing.assert_allclose(profile.interval, [[-np.inf, np.log(1.0 + 1.96 * 0.6)]], rtol=0.02)
+    assert (profile.open.tolist(), profile.without_limit) == ([[True, False]], ("x",))
 
 
 def crossing_by_hand(rise, near, far, target):
@@ -166,16 +180,15 @@ def test_crossing_uses_false_position(monkeypatch, rise, sign):
 
 
 def test_checks_limit_their_steps(monkeypatch):
-    most: list = []
-    problem = line()
-    at = descend(line(), np.zeros(2))
-    for name, answer in (("descend", at), ("descend_each", [at])):
+    """Refits twenty-five, descents sixty."""
+    steps: list = []
+    for name, answer in (("descend", OPTIMUM), ("descend_each", [OPTIMUM])):
         monkeypatch.setattr(
-            optimum_checks, name, lambda p, start, steps, *spent, a=answer: (most.append((steps, *spent)), a)[1]
+            optimum_checks, name, lambda p, start, most, *spent, a=answer: (steps.append((most, *spent)), a)[1]
         )
-    _refit_fixed(problem, at, 1, 0.7)
-    better_optima(problem, [at])
-    assert most == [(25, 2)] + [(60,)] * 4
+    _refit_fixed(line(), OPTIMUM, 1, 0.7)
+    better_optima(line(), [OPTIMUM])
+    assert steps == [(25, 2)] + [(60,)] * 4
 
 
 @pytest.mark.parametrize(("sd", "ends"), [(1.01 / 2**11, True), (0.99 / 2**11, False)])
@@ -187,83 +200,125 @@ def test_interval_search_doubles_twelve_times(sd, ends):
     np.testing.assert_allclose(profile.interval, [[-1.96, 1.96]] if ends else [[-np.inf, np.inf]], rtol=0.02)
 
 
-def test_search_starts_from_distinct_points():
-    """Neighbours lie within a twentieth of the box in every direction; without an answer nothing is begun."""
+OBJECTIVES = np.arange(1.0, 8.0)
+
+
+@pytest.mark.parametrize(
+    ("objectives", "width", "chosen"),
+    [
+        (OBJECTIVES, [1.0, 10.0], [0, 2, 3, 4]),
+        (OBJECTIVES[::-1], [1.0, 10.0], [6, 5, 4, 3]),
+        (np.where(OBJECTIVES > 3.0, np.inf, OBJECTIVES), [1.0, 10.0], [0, 2]),
+        (np.where(OBJECTIVES > 3.0, np.inf, OBJECTIVES), [1.0, 0.0], [0, 1, 2]),
+    ],
+)
+def test_search_starts_from_distinct_points(objectives, width, chosen):
+    """The best four; neighbours lie within a twentieth of the box in every direction; no start without an answer."""
     cloud = np.array([[0.0, 0.0], [0.049, 0.49], [0.051, 0.0], [0.0, 0.51], [0.5, 5.0], [0.9, 9.0], [1.0, 0.0]])
-    objectives = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
-    width = np.array([1.0, 10.0])
-    np.testing.assert_array_equal(_distinct_points(cloud, objectives, width), cloud[[0, 2, 3, 4]])
-    np.testing.assert_array_equal(_distinct_points(cloud, objectives[::-1], width), cloud[[6, 5, 4, 3]])
-    objectives[3:] = np.inf
-    np.testing.assert_array_equal(_distinct_points(cloud, objectives, width), cloud[[0, 2]])
-    np.testing.assert_array_equal(_distinct_points(cloud, objectives, width * [1.0, 0.0]), cloud[[0, 1, 2]])
+    np.testing.assert_array_equal(_distinct_points(cloud, objectives, np.array(width)), cloud[chosen])
+
+
+BOX = np.array([[-50.0, 50.0], [-20.0, 50.0]])
+AT_TRUTH = np.array([1.0, 0.5])
+
+
+def searched_line(cloud=None) -> tuple[Problem, Point]:
+    """A line in a box, and its optimum."""
+    problem = line(cloud, bounds=BOX, prior=unknown(np.array([1.0, 0.0])))
+    return problem, Point(AT_TRUTH, float(problem.objective(AT_TRUTH[None])[0]), np.zeros(2), np.eye(2))
 
 
 def test_search_fills_the_box():
-    """128 points for two or three free parameters; every other one at another order of magnitude of the present."""
+    """128 points; every other one at another order of magnitude of the present."""
     cloud: list = []
-    bounds = np.array([[-50.0, 50.0], [-20.0, 50.0]])
-    problem = line(cloud, bounds=bounds, prior=unknown(np.array([1.0, 0.0])))
-    at = Point(np.array([1.0, 0.5]), float(problem.objective(np.array([[1.0, 0.5]]))[0]), np.zeros(2), np.eye(2))
+    problem, at = searched_line(cloud)
     cloud.clear()
-    (better, spent), *others = better_optima(problem, [at])
+    better_optima(problem, [at])
     unit = qmc.Sobol(2, rng=np.random.default_rng(0)).random_base2(7)
-    starts = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * unit
+    starts = BOX[:, 0] + (BOX[:, 1] - BOX[:, 0]) * unit
     starts[::2] = at.theta * 10.0 ** (2.0 * unit[::2] - 1.0)
-    np.testing.assert_allclose(cloud[0][:, :, 0].T, np.clip(starts, *bounds.T), rtol=1e-12)
+    np.testing.assert_allclose(cloud[0][:, :, 0].T, np.clip(starts, *BOX.T), rtol=1e-12)
+
+
+def test_search_returns_the_only_optimum():
+    problem, at = searched_line()
+    ((better, spent),) = better_optima(problem, [at])
     assert better.objective == pytest.approx(at.objective)
-    assert (spent > 128 + 4 * 5, others) == (True, [])
+    assert spent > 128 + 4 * 5
 
-    def has_better(gap: float) -> bool:
-        return check_optima(problem, [replace(at, objective=gap)], np.array([1.0 + 1e-9]))[0].better is not None
 
-    for gap, is_better in ((0.9e-4, False), (1e-4, False), (1.1e-4, True)):
-        assert has_better(gap) is is_better
+@pytest.mark.parametrize(("gap", "is_better"), [(0.9e-4, False), (1e-4, False), (1.1e-4, True)])
+def test_better_optimum_is_lower_by_noise(gap, is_better):
+    """By a ten-thousandth of its variance."""
+    problem, at = searched_line()
+    (check,) = check_optima(problem, [replace(at, objective=gap)], np.array([1.0 + 1e-9]))
+    assert (check.better is not None) is is_better
+
+
+def test_least_improvement_is_a_millionth():
     assert least_improvement(1e-9) == 1e-6
-    for n, points in ((1, 64), (3, 128), (4, 256), (8, 512), (16, 512)):
-        tried: list = []
-        many = Problem(
-            tuple("abcdefghijklmnopq"[: n + 1]),
-            np.array([[-1.0, 1.0]] * n + [[0.5, 0.5]]),
-            unknown(np.zeros(n + 1)),
-            np.zeros((1, 1)),
-            np.ones(1),
-            lambda _x, t, i, tried=tried: (tried.append(t), (t * t).sum(axis=0) + 0.0 * i)[1][None],
-        )
-        better_optima(many, [Point(np.full(n + 1, 0.5), 1.0, np.zeros(n + 1), np.eye(n + 1))])
-        assert tried[0].shape[1] == points
-        assert (tried[0][n] == 0.5).all()
 
 
-X12 = np.linspace(-1.0, 2.0, 12)
-A = np.column_stack([np.ones(12), X12]) / 0.1
+@pytest.mark.parametrize(("n", "points"), [(1, 64), (3, 128), (4, 256), (8, 512), (16, 512)])
+def test_search_grows_with_free_parameters(n, points):
+    cloud: list = []
+    many = Problem(
+        tuple("abcdefghijklmnopq"[: n + 1]),
+        np.array([[-1.0, 1.0]] * n + [[0.5, 0.5]]),
+        unknown(np.zeros(n + 1)),
+        np.zeros((1, 1)),
+        np.ones(1),
+        lambda _x, t, i: (cloud.append(t), (t * t).sum(axis=0) + 0.0 * i)[1][None],
+    )
+    better_optima(many, [Point(np.full(n + 1, 0.5), 1.0, np.zeros(n + 1), np.eye(n + 1))])
+    assert cloud[0].shape[1] == points
+    assert (cloud[0][n] == 0.5).all()
 
 
 @pytest.mark.parametrize(("off", "status"), [(0.93e-9, "converged"), (1.07e-9, "max_steps")])
 def test_noiseless_optimum_is_met_to_rounding(off, status):
-    theta = np.array([1.0 + off / np.linalg.norm(A[:, 0]), 0.5])
+    theta = np.array([1.0 + off / np.linalg.norm(SLOPES[:, 0]), 0.5])
     assert conclude(line(), theta, "max_steps", 1).status == status
 
 
-@pytest.mark.parametrize(("share", "status"), [(0.9, "at_bound"), (1.1, "converged")])
+@pytest.fixture(params=[(0.9, "at_bound"), (1.1, "converged")], ids=["near", "far"])
+def near_bound(request):
+    """A share of a thousandth of a deviation by which an optimum lies off its bound, and its status."""
+    return request.param
+
+
+PRIOR = Belief(np.array([1.0, 0.5]), 25.0 * np.eye(2))
+
+
 @pytest.mark.parametrize("side", [0, 1])
-def test_bound_counts_within_thousandth_deviation(share, status, side):
-    prior = Belief(np.array([1.0, 0.5]), 25.0 * np.eye(2))
+def test_bound_counts_within_thousandth_deviation(near_bound, side):
+    share, status = near_bound
     bounds = np.tile([-50.0, 50.0], (2, 1))
-    sd = np.sqrt(np.diag(np.linalg.inv(A.T @ A + np.eye(2) / 25.0)))
+    sd = np.sqrt(np.diag(np.linalg.inv(SLOPES.T @ SLOPES + np.eye(2) / 25.0)))
     bounds[1, side] = 0.5 + (2 * side - 1) * share * 1e-3 * sd[1]
-    assert conclude(line(prior=prior, bounds=bounds), np.array([1.0, 0.5]), "max_steps", 1).status == status
-    assert conclude(line(prior=prior, bounds=bounds), np.array([1.1, 0.5]), "max_steps", 1).status == "max_steps"
-    bounds[1] = 0.5  # a held parameter rests on no bound, another beside it may
-    assert conclude(line(prior=prior, bounds=bounds), np.array([1.0, 0.5]), "max_steps", 1).status == "converged"
-    bounds[0, side] = 1.0 + (2 * side - 1) * share * 1e-3 / np.sqrt(A[:, 0] @ A[:, 0] + 1.0 / 25.0)
-    assert conclude(line(prior=prior, bounds=bounds), np.array([1.0, 0.5]), "max_steps", 1).status == status
+    problem = line(prior=PRIOR, bounds=bounds)
+    assert conclude(problem, np.array([1.0, 0.5]), "max_steps", 1).status == status
+    assert conclude(problem, np.array([1.1, 0.5]), "max_steps", 1).status == "max_steps"
+
+
+def test_fixed_parameter_rests_on_no_bound():
+    problem = line(prior=PRIOR, bounds=np.array([[-50.0, 50.0], [0.5, 0.5]]))
+    assert conclude(problem, np.array([1.0, 0.5]), "max_steps", 1).status == "converged"
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_bound_counts_beside_fixed_parameter(near_bound, side):
+    share, status = near_bound
+    bounds = np.array([[-50.0, 50.0], [0.5, 0.5]])
+    bounds[0, side] = 1.0 + (2 * side - 1) * share * 1e-3 / np.sqrt(SLOPES[:, 0] @ SLOPES[:, 0] + 1.0 / 25.0)
+    assert conclude(line(prior=PRIOR, bounds=bounds), np.array([1.0, 0.5]), "max_steps", 1).status == status
 
 
 @pytest.mark.parametrize(("half", "weak"), [(2.95, ("slope",)), (3.05, ())])
 def test_estimate_wide_in_range_is_weak(half, weak):
+    """Data that leave six deviations in the range have hardly narrowed it."""
     noise = 0.1 * np.where(np.arange(12) % 4 % 3 == 0, 1.0, -1.0)  # of the declared variance, across offset and slope
-    problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None])
+    problem = line_through(1.0 + 0.5 * X + noise)
     estimate = NonlinearLeastSquares().estimate(problem)
     assert estimate.n_checks == 4  # either end of two axes
     mean = estimate.belief.mean
@@ -288,33 +343,49 @@ def test_many_values_need_no_profile(samples, rho, has_profile):
     assert (estimate.n_checks > 0, estimate.n_checks < 0) == (has_profile, False)
 
 
-@pytest.mark.parametrize("own", [None, np.array([[0.02, 0.001], [0.001, 0.03]])])
-def test_excess_residuals_widen_covariance(own):
-    noise = 0.4 * np.where(np.arange(12) % 2 == 0, 1.0, -1.0)
-    prior = Belief(np.array([1.0, 0.5]), np.diag([0.01, 0.02]))
-    problem = line(measured=(1.0 + 0.5 * X12 + noise)[:, None], prior=prior)
-    normal = A.T @ A + np.linalg.inv(prior.cov)
-    mean = np.linalg.solve(normal, A.T @ problem.measured[:, 0] / 0.1 + np.linalg.inv(prior.cov) @ prior.mean)
-    objective = problem.objective(mean[None])[0]
-    wide = np.linalg.inv(A.T @ A / (objective / 10.0) + np.linalg.inv(prior.cov))
-    estimate = conclude(problem, mean, "max_steps", 9, cov=own)
-    added = 0.0 if own is None else own - np.linalg.inv(normal)
+@pytest.fixture(params=[None, np.array([[0.02, 0.001], [0.001, 0.03]])], ids=["laplace", "own"])
+def own_cov(request):
+    """Covariance of a method's own, or none."""
+    return request.param
+
+
+NOISY = line_through(
+    1.0 + 0.5 * X + 0.4 * np.where(np.arange(12) % 2 == 0, 1.0, -1.0),
+    prior=Belief(np.array([1.0, 0.5]), np.diag([0.01, 0.02])),
+)
+"""Residuals of four times the declared sigma."""
+NOISY_NORMAL = SLOPES.T @ SLOPES + NOISY.prior.information
+NOISY_MEAN = np.linalg.solve(NOISY_NORMAL, SLOPES.T @ NOISY.measured[:, 0] / 0.1 + NOISY.prior.information @ [1.0, 0.5])
+EXCESS = NOISY.objective(NOISY_MEAN[None])[0] / 10.0
+
+
+def test_excess_residuals_widen_covariance(own_cov):
+    """The data count by the variance that they show, the prior as it is."""
+    wide = np.linalg.inv(SLOPES.T @ SLOPES / EXCESS + NOISY.prior.information)
+    estimate = conclude(NOISY, NOISY_MEAN, "max_steps", 9, cov=own_cov)
+    added = 0.0 if own_cov is None else own_cov - np.linalg.inv(NOISY_NORMAL)
     np.testing.assert_allclose(estimate.belief.cov, wide + added, rtol=1e-6)
     assert (estimate.status, estimate.n_evals) == ("converged", 9)
-    for share, status in ((0.98, "converged"), (1.02, "max_steps")):  # of half a thousandth of a deviation as it shows
-        off = share * 5e-4 * np.sqrt(objective / 10.0 / normal[0, 0]) * np.array([1.0, 0.0])
-        assert conclude(problem, mean + off, "max_steps", 9).status == status
-    own_cov = conclude(problem, mean, "converged", 9, cov=own, own_objective=True)
-    np.testing.assert_allclose(own_cov.belief.cov, np.linalg.inv(normal) if own is None else own, rtol=1e-6)
-    assert np.isnan(own_cov.distance)
+
+
+@pytest.mark.parametrize(("share", "status"), [(0.98, "converged"), (1.02, "max_steps")])
+def test_optimum_is_met_by_shown_deviation(own_cov, share, status):
+    """Within half a thousandth of it."""
+    off = share * 5e-4 * np.sqrt(EXCESS / NOISY_NORMAL[0, 0]) * np.array([1.0, 0.0])
+    assert conclude(NOISY, NOISY_MEAN + off, "max_steps", 9, cov=own_cov).status == status
+
+
+def test_own_objective_keeps_its_covariance(own_cov):
+    estimate = conclude(NOISY, NOISY_MEAN, "converged", 9, cov=own_cov, own_objective=True)
+    expected = np.linalg.inv(NOISY_NORMAL) if own_cov is None else own_cov
+    np.testing.assert_allclose(estimate.belief.cov, expected, rtol=1e-6)
+    assert np.isnan(estimate.distance)
 
 
 @pytest.mark.parametrize(("variance", "counted"), [(1.1, 1.1), (0.9, 1.0)])
 def test_only_excess_variance_counts(variance, counted):
-    """Four thousand of a constant, with a sigma of 1; residuals lie at both sides of it in turn."""
+    """Four thousand values of a constant, with a sigma of 1; residuals lie at both sides of it in turn."""
     y = np.sqrt(variance * 3999.0 / 4000.0) * (-1.0) ** np.arange(4000)
-    problem = Problem(("x",), np.array([[-9.0, 9.0]]), unknown(np.zeros(1)), y[:, None], np.ones(1),
-                      lambda _x, t, i: (t[0] + 0.0 * i)[None])  # fmt: skip
-    estimate = NonlinearLeastSquares().estimate(problem)
+    estimate = NonlinearLeastSquares().estimate(scalar_problem(measured=y, bounds=(-9.0, 9.0)))
     assert estimate.belief.cov[0, 0] == pytest.approx(counted / 4000.0)
     assert estimate.status == "converged"
