@@ -214,7 +214,7 @@ each_ending = pytest.mark.parametrize(("off", "serves"), [(0.0, True), (0.2, Fal
 
 
 def with_compiled_filter(off: float, arguments: list) -> Problem:
-    """The line with a compiled filter that ends so far off the optimum after three passes; `arguments` gathers its own."""
+    """The line with a compiled filter that ends so far off the optimum, after three passes."""
     best = np.linalg.lstsq(0.1 * SLOPES, FROM_OUTSIDE.measured[:, 0], rcond=None)[0]
 
     def run_filter(*args):
