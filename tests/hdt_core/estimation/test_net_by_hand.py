@@ -47,31 +47,42 @@ def swing() -> Problem:
     )
 
 
+RHO = 0.1
+VECTOR = np.concatenate([WEIGHTS, TERMS, [1.1, 0.9]])
+STATE = 2.0 * (0.7 * np.tanh(1.5 * LAYOUT.time + 0.2) - 0.3 * np.tanh(-0.8 * LAYOUT.time + 0.4) + 0.1)
+
+
+def differences(function, at: np.ndarray) -> np.ndarray:
+    """Central differences by each entry, as columns."""
+    steps = 1e-6 * np.eye(at.size)
+    return np.stack([(function(at + step) - function(at - step)) / 2e-6 for step in steps], axis=-1)
+
+
+def test_net_states_by_hand():
+    states, slope = _states(WEIGHTS, LAYOUT)
+    np.testing.assert_allclose(states, STATE[None])
+    expected = differences(lambda weights: _states(weights, LAYOUT)[0], WEIGHTS)
+    np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-7)
+
+
 def test_net_loss_by_hand():
-    time = LAYOUT.time
-    theta = np.array([1.1, 0.9])
-    x = 2.0 * (0.7 * np.tanh(1.5 * time + 0.2) - 0.3 * np.tanh(-0.8 * time + 0.4) + 0.1)
-    states, by = _states(WEIGHTS, LAYOUT)
-    np.testing.assert_allclose(states, x[None])
-    vector = np.concatenate([WEIGHTS, TERMS, theta])
-    rho = 0.1
-    residual, jacobian = _loss(swing(), vector, LAYOUT, rho)
-    lacking = 0.25 * (0.3 * (x[:-1] / 2.0) ** 2 - 0.4 * (x[:-1] / 2.0) ** 3)
-    later = 0.9 * x[:-1] + 0.1 * np.arange(2) + lacking
-    expected = [(1.1 * x[0] - 1.0) / 0.2, 0.0, (1.1 * x[2] - 0.7) / 0.2, *((x[1:] - later) / (0.1 * 0.25)),
-                (x[0] - 1.2) / 0.2, 0.3, -0.4, 0.1 / 0.5, 0.1 / 0.1]  # fmt: skip
+    residual, jacobian = _loss(swing(), VECTOR, LAYOUT, RHO)
+    lacking = 0.25 * (0.3 * (STATE[:-1] / 2.0) ** 2 - 0.4 * (STATE[:-1] / 2.0) ** 3)
+    later = 0.9 * STATE[:-1] + 0.1 * np.arange(2) + lacking
+    expected = [(1.1 * STATE[0] - 1.0) / 0.2, 0.0, (1.1 * STATE[2] - 0.7) / 0.2, *((STATE[1:] - later) / (RHO * 0.25)),
+                (STATE[0] - 1.2) / 0.2, 0.3, -0.4, 0.1 / 0.5, 0.1 / 0.1]  # fmt: skip
     np.testing.assert_allclose(residual, expected, rtol=1e-6)
-    for j in range(vector.size):
-        step = np.zeros(vector.size)
-        step[j] = 1e-6
-        ends = [_loss(swing(), vector + sign * step, LAYOUT, rho)[0] for sign in (1.0, -1.0)]
-        np.testing.assert_allclose(jacobian[:, j], (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-5)
-        if j < 7:
-            shifted = [_states(WEIGHTS + sign * step[:7], LAYOUT)[0] for sign in (1.0, -1.0)]
-            np.testing.assert_allclose(by[..., j], (shifted[0] - shifted[1]) / 2e-6, rtol=1e-5, atol=1e-7)
-    # a start known exactly counts by a thousandth of the state's size
+    expected = differences(lambda vector: _loss(swing(), vector, LAYOUT, RHO)[0], VECTOR)
+    np.testing.assert_allclose(jacobian, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_exact_start_weighs_a_thousandth():
+    """Of the state's size."""
     exact = replace(swing(), start=Belief(np.array([1.2]), np.zeros((1, 1))))
-    assert _loss(exact, vector, LAYOUT, rho)[0][-5] == pytest.approx((x[0] - 1.2) / 2e-3)
+    assert _loss(exact, VECTOR, LAYOUT, RHO)[0][-5] == pytest.approx((STATE[0] - 1.2) / 2e-3)
+
+
+def test_slopes_come_with_values():
     at = np.array([[1.0, 2.0]]), np.array([3.0]), np.arange(2)
     value, by_x, by_theta = _with_slopes(lambda x, t, i: x * t[0] ** 2 + i, *at)
     np.testing.assert_allclose(value, [[9.0, 19.0]])
@@ -79,24 +90,40 @@ def test_net_loss_by_hand():
     np.testing.assert_allclose(by_theta, [[[6.0, 12.0]]], rtol=1e-6)
 
 
-def test_first_weights_reproduce_simulation():
-    guess = np.column_stack([np.cos(np.linspace(0.0, 6.0, 80)), 3.0 * np.sin(np.linspace(0.0, 6.0, 80))])
-    layout = _lay_out(guess, 30)
+PHASE = np.linspace(0.0, 6.0, 80)
+GUESS = np.column_stack([np.cos(PHASE), 3.0 * np.sin(PHASE)])
+
+
+def test_layout_follows_simulation():
+    layout = _lay_out(GUESS, 30)
     np.testing.assert_allclose(layout.size, [1.0, 3.0], rtol=2e-3)
-    np.testing.assert_allclose(layout.change, np.abs(guess[1:] - guess[:-1]).mean(axis=0))
+    np.testing.assert_allclose(layout.change, np.abs(GUESS[1:] - GUESS[:-1]).mean(axis=0))
     assert layout.exponents.tolist() == [[2, 0], [1, 1], [0, 2], [3, 0], [2, 1], [1, 2], [0, 3]]
-    first = _first_weights(layout, guess, np.random.default_rng(0))
+
+
+def test_first_weights_reproduce_simulation():
+    layout = _lay_out(GUESS, 30)
+    first = _first_weights(layout, GUESS, np.random.default_rng(0))
     slope = first[:30]
-    shift = first[30:60]
     assert ((np.abs(slope) >= 0.3 * 30) & (np.abs(slope) <= 30)).all()
     assert 5 < (slope > 0).sum() < 25
-    np.testing.assert_allclose(-shift / slope, np.linspace(-0.05, 1.05, 30), atol=1e-12)
-    np.testing.assert_allclose(_states(first, layout)[0].T, guess, atol=0.03)
-    normal = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 2.0], [0.5, 2.0, 3.0]])
-    np.testing.assert_allclose(_cov_of_last(normal, 2), np.linalg.inv(normal)[1:, 1:], rtol=1e-9)
-    blind = np.zeros((3, 3))
-    blind[1:, 1:] = normal[1:, 1:]
-    np.testing.assert_allclose(_cov_of_last(blind, 2), np.linalg.inv(normal[1:, 1:]), rtol=1e-9)
+    np.testing.assert_allclose(-first[30:60] / slope, np.linspace(-0.05, 1.05, 30), atol=1e-12)
+    np.testing.assert_allclose(_states(first, layout)[0].T, GUESS, atol=0.03)
+
+
+NORMAL = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 2.0], [0.5, 2.0, 3.0]])
+
+
+@pytest.mark.parametrize(
+    ("normal", "expected"),
+    [
+        (NORMAL, np.linalg.inv(NORMAL)[1:, 1:]),
+        (NORMAL * np.outer([0, 1, 1], [0, 1, 1]), np.linalg.inv(NORMAL[1:, 1:])),
+    ],
+    ids=["regular", "blind"],
+)
+def test_net_covariance_is_that_of_parameters(normal, expected):
+    np.testing.assert_allclose(_cov_of_last(normal, 2), expected, rtol=1e-9)
 
 
 def lag() -> Problem:
@@ -117,25 +144,50 @@ def lag() -> Problem:
     )
 
 
-def test_net_counts_evaluations():
+@pytest.fixture(scope="module")
+def unpolished():
+    """Estimate of a trained net."""
+    return PhysicsInformedNet(width=8, polish=False).estimate(lag())
+
+
+@pytest.fixture(scope="module")
+def best():
+    """Estimate by least squares."""
+    return NonlinearLeastSquares().estimate(lag())
+
+
+def test_single_step_reaches_max_steps():
     """Each step differs the model by a state and two parameters: seven passes."""
     one = PhysicsInformedNet(width=8, max_steps=1, polish=False).estimate(lag())
     assert (one.n_evals, one.method, one.status) == (2 * 7, "pinn", "max_steps")
-    done = PhysicsInformedNet(width=8, polish=False).estimate(lag())
-    assert 7 * 2 * 4 <= done.n_evals < 7 * 200
-    assert done.n_evals % 7 == 0
+
+
+def test_net_counts_seven_passes_a_step(unpolished):
+    assert 7 * 2 * 4 <= unpolished.n_evals < 7 * 200
+    assert unpolished.n_evals % 7 == 0
+
+
+def test_net_nears_least_squares(unpolished, best):
+    assert (np.abs(unpolished.belief.mean - best.belief.mean) < 3.0 * unpolished.belief.sd).all()
+
+
+def test_polished_net_meets_least_squares(unpolished, best):
     polished = PhysicsInformedNet(width=8).estimate(lag())
-    best = NonlinearLeastSquares().estimate(lag())
-    assert polished.n_evals > done.n_evals
+    assert polished.n_evals > unpolished.n_evals
     np.testing.assert_allclose(polished.belief.mean, best.belief.mean, atol=1e-3 * best.belief.sd.min())
-    assert (np.abs(done.belief.mean - best.belief.mean) < 3.0 * done.belief.sd).all()
-    # at the loss's minimum no step lowers it by 0.02: three in a row and it ends
+
+
+def test_training_ends_at_minimum():
+    """No step lowers the loss by 0.02 there: three in a row and it ends."""
     vector, normal, _ = _train(lag(), START, LAG, 0.1, max_steps=400)
     residual, slope = _loss(lag(), vector, LAG, 0.1)
     np.testing.assert_allclose(normal, slope.T @ slope, rtol=1e-9)
     assert _train(lag(), vector, LAG, 0.1, max_steps=400)[2] <= 4
-    assert _train(lag(), START, LAG, 0.1, max_steps=2)[2] == 2
     assert residual @ residual < sum(np.square(_loss(lag(), START, LAG, 0.1)[0]))
+
+
+def test_training_ends_after_max_steps():
+    assert _train(lag(), START, LAG, 0.1, max_steps=2)[2] == 2
 
 
 LAG = _Layout(np.linspace(0.0, 1.0, 40), np.ones(1), np.full(1, 0.05), 8, np.array([[2], [3]]))
@@ -183,47 +235,64 @@ def test_state_products_by_hand():
     np.testing.assert_allclose(values, [a**2, a * b, b**2, a**3, a**2 * b, a * b**2, b**3])
     np.testing.assert_allclose(slopes[:, 0], np.array([2 * a, b, 0 * a, 3 * a**2, 2 * a * b, b**2, 0 * a]) / 2.0)
     np.testing.assert_allclose(slopes[:, 1], np.array([0 * a, a, 2 * b, 0 * a, a**2, 2 * a * b, 3 * b**2]) / 4.0)
+
+
+def test_undefined_states_end_at_once():
     undefined = replace(lag(), transition=lambda x, _t, _i: np.nan * x)
     assert PhysicsInformedNet().estimate(undefined).n_evals == 1
 
 
-def test_average_equals_exact_mixture():
-    """A linear regression: each subset of three terms has its marginal likelihood and posterior by its own formula."""
+@pytest.fixture(scope="module")
+def posterior():
+    """Mean, covariance and evidence of a linear regression on some of three terms and two inputs."""
     rng = np.random.default_rng(3)
     terms = rng.normal(size=(25, 3))
     inputs = rng.normal(size=(25, 2))
     y = inputs @ [1.0, -0.5] + 0.4 * terms[:, 1] + 0.3 * rng.normal(size=25)
     prior_var = np.array([1.0, 1.0, 1.0, 9.0, 9.0])
-    noise_var = 0.09
     columns = np.column_stack([terms, inputs])
 
-    def posterior(use):
+    def fit_columns(use):
         x = columns[:, use] / 0.3
-        info = np.diag(1.0 / prior_var[use])
-        cov = np.linalg.inv(x.T @ x + info)
-        marginal = noise_var * np.eye(25) + columns[:, use] * prior_var[use] @ columns[:, use].T
+        cov = np.linalg.inv(x.T @ x + np.diag(1.0 / prior_var[use]))
+        marginal = 0.09 * np.eye(25) + columns[:, use] * prior_var[use] @ columns[:, use].T
         evidence = -0.5 * (y @ np.linalg.solve(marginal, y) + np.linalg.slogdet(marginal)[1])
         return cov @ x.T @ (y / 0.3), cov, evidence
 
+    return fit_columns
+
+
+@pytest.fixture(scope="module")
+def average(posterior):
     mean, cov, _ = posterior(np.arange(5))
+    return _average(mean, cov, 3)
+
+
+def test_average_equals_exact_mixture(posterior, average):
+    """Each subset of the terms has its marginal likelihood and posterior by its own formula."""
     subsets = [(), (0,), (1,), (2,), (0, 1), (0, 2), (1, 2)]
     alone = [posterior(np.array([*s, 3, 4])) for s in subsets]
     weight = np.exp([a[2] for a in alone]) * np.array([1.0, *[1 / 3] * 6])
     weight /= weight.sum()
     means = np.array([a[0][-2:] for a in alone])
-    covs = np.array([a[1][-2:, -2:] for a in alone])
-    average = _average(mean, cov, 3)
     np.testing.assert_allclose(average.mean, weight @ means, rtol=1e-9)
     away = means - average.mean
-    spread = sum(w * (c + np.outer(d, d)) for w, c, d in zip(weight, covs, away, strict=True))
+    spread = sum(w * (a[1][-2:, -2:] + np.outer(d, d)) for w, a, d in zip(weight, alone, away, strict=True))
     np.testing.assert_allclose(average.cov, spread, rtol=1e-9)
-    assert average.chance_complete == pytest.approx(weight[0])
-    assert (average.terms, average.chance) == ((1,), pytest.approx(weight[2]))
+    assert average.terms == (1,)
+    assert (average.chance_complete, average.chance) == pytest.approx((weight[0], weight[2]))
+
+
+@pytest.mark.parametrize(
+    ("terms", "chance", "lack"),
+    [
+        ((1,), 0.73, "x1 x2 in the rate of x1 (probability 0.73)"),
+        ((0, 5), 0.5, "x1^2 in the rate of x1 and x2^3 in the rate of x2 (probability 0.50)"),
+    ],
+)
+def test_average_describes_what_is_missing(average, terms, chance, lack):
     products = np.array([[2, 0], [1, 1], [0, 3]])
-    assert _describe(average, products) == f"the physics lacks x1 x2 in the rate of x1 (probability {weight[2]:.2f})"
-    both = average._replace(terms=(0, 5), chance=0.5)
-    words = "the physics lacks x1^2 in the rate of x1 and x2^3 in the rate of x2 (probability 0.50)"
-    assert _describe(both, products) == words
+    assert _describe(average._replace(terms=terms, chance=chance), products) == f"the physics lacks {lack}"
 
 
 def oscillator(seed: int, cubic_n_m3: float) -> Problem:
@@ -255,20 +324,37 @@ def oscillator(seed: int, cubic_n_m3: float) -> Problem:
     )
 
 
-def test_missing_force_is_named():
-    truth = np.array([0.5, 2.0])
-    incomplete = oscillator(1, cubic_n_m3=6.0)
-    estimate = PhysicsInformedNet().estimate(incomplete)
-    plain = NonlinearLeastSquares().estimate(incomplete)
-    assert "the physics lacks x1^3 in the rate of x2" in estimate.method
-    assert estimate.status == "converged"
-    assert (np.abs(estimate.belief.mean - truth) < 2.0 * estimate.belief.sd).all()
-    assert estimate.belief.sd[1] < 0.25
+TRUE_FORCES = np.array([0.5, 2.0])
+INCOMPLETE = oscillator(1, cubic_n_m3=6.0)
+
+
+@pytest.fixture(scope="module")
+def incomplete():
+    """Estimate of a record with a force that the problem lacks."""
+    return PhysicsInformedNet().estimate(INCOMPLETE)
+
+
+def test_missing_force_is_named(incomplete):
+    assert "the physics lacks x1^3 in the rate of x2" in incomplete.method
+    assert incomplete.status == "converged"
+
+
+def test_missing_force_widens_interval(incomplete):
+    """Least squares is ten deviations off."""
+    plain = NonlinearLeastSquares().estimate(INCOMPLETE)
+    assert (np.abs(incomplete.belief.mean - TRUE_FORCES) < 2.0 * incomplete.belief.sd).all()
+    assert incomplete.belief.sd[1] < 0.25
     assert abs(plain.belief.mean[1] - 2.0) > 10.0 * plain.belief.sd[1]
+
+
+def test_complete_physics_is_polished():
     complete = PhysicsInformedNet().estimate(oscillator(1, cubic_n_m3=0.0))
     assert complete.method == "pinn, finished by least squares"
-    assert (np.abs(complete.belief.mean - truth) < 2.0 * complete.belief.sd).all()
-    unsettled = PhysicsInformedNet(max_steps=2).estimate(incomplete)
+    assert (np.abs(complete.belief.mean - TRUE_FORCES) < 2.0 * complete.belief.sd).all()
+
+
+def test_unsettled_net_names_no_force():
+    unsettled = PhysicsInformedNet(max_steps=2).estimate(INCOMPLETE)
     assert (unsettled.status, unsettled.method) == ("max_steps", "pinn")
 
 
