@@ -39,68 +39,110 @@ VALVE = PhysicsModel(
 COMPONENT = Component("VALVE", "valve", "Area lost", VALVE, "valve_loss", Limit(0.2, 0.03, 0.02), 800.0, "Clean it")
 
 
+LOSS = VALVE.param("valve_loss")
+DEPOSIT = replace(LOSS, bounds=(-0.1, 1.5))
+"""A loss that may exceed 1 is no share of anything."""
+
+
 def test_wear_settings_scale_with_limit():
     """The exchanger fails at 38 % after 400 flights: a valve at 20 % after 800 wears less, and at half the rate."""
-    size, own = wear_settings(COMPONENT, VALVE.param("valve_loss"), DesignOffset(0.0, 0.1))
+    size, own = wear_settings(COMPONENT, LOSS, DesignOffset(0.0, 0.1))
     assert size == pytest.approx(np.log(0.8) / np.log(0.62))
     expected = (0.0, 0.1 / size, 0.04 / size, 0.01 / size)
     assert (own.level, own.level_sd, own.unit_sd, own.wear_step) == pytest.approx(expected)
     assert (own.clog, own.fault_chance, own.offset_bin, own.wash_share) == ((0.2, 0.2), 1e-6, 0.03, 0.5)
-    renewed_only = replace(COMPONENT, ended_by=("REPLACED",))
-    assert wear_settings(renewed_only, VALVE.param("valve_loss"), DesignOffset())[1].wash_share == 0.0
     assert own.paces[1] == pytest.approx((0.45, 5e-4, 4e-4, 6e-5 / 8**0.5, 6e-5 / 8**0.5))
-    param = replace(VALVE.param("valve_loss"), unit_sd=0.07)
-    assert wear_settings(COMPONENT, param, DesignOffset())[1].unit_sd == pytest.approx(0.07 / size)
-    shares = [e.share for e in wear_settings(replace(COMPONENT, new_share=0.9), param, DesignOffset())[1].entries]
-    assert shares == pytest.approx([0.9, 0.04, 0.036, 0.024])
-    deposit = replace(param, bounds=(-0.1, 1.5))  # what may exceed 1 is no share of anything: it is taken as it is
-    assert wear_settings(COMPONENT, deposit, DesignOffset())[0] == pytest.approx(0.2 / -np.log(0.62))
-    np.testing.assert_allclose(wear_of(np.array([0.5]), np.array([0.01]), param), [[np.log(2.0)], [0.02]])
 
 
-@pytest.mark.parametrize(("n", "scatter"), [(8, 0.005), (9, (1.4826**2 * 0.03**2 / 2.0 - 0.01**2) ** 0.5)])
-def test_scatter_follows_flight_steps(n, scatter):
-    """From eight steps on, less what a flight is unsure of itself."""
-    values = np.tile([0.0, 0.03], n)[:n]
-    assert scatter_sd(values, np.full(n, 0.01**2)) == pytest.approx(scatter)
-    assert scatter_sd(np.insert(values, 3, np.nan), np.full(n + 1, 0.01**2)) == pytest.approx(scatter)
-    deposit = replace(VALVE.param("valve_loss"), bounds=(-0.1, 1.5))
-    size = wear_settings(COMPONENT, deposit, DesignOffset())[0]
-    rows = flights(n, valve_loss=list(size * values), valve_loss_sd=0.01 * size)
-    variance = _loss(rows, deposit, COMPONENT, DesignOffset()).observations[1]
+def test_component_without_wash_has_no_share():
+    renewed_only = replace(COMPONENT, ended_by=("REPLACED",))
+    assert wear_settings(renewed_only, LOSS, DesignOffset())[1].wash_share == 0.0
+
+
+def test_declared_spread_of_units_counts():
+    size, own = wear_settings(COMPONENT, replace(LOSS, unit_sd=0.07), DesignOffset())
+    assert own.unit_sd == pytest.approx(0.07 / size)
+
+
+def test_declared_share_of_new_units_counts():
+    entries = wear_settings(replace(COMPONENT, new_share=0.9), LOSS, DesignOffset())[1].entries
+    assert [e.share for e in entries] == pytest.approx([0.9, 0.04, 0.036, 0.024])
+
+
+def test_deposit_wears_as_it_is():
+    assert wear_settings(COMPONENT, DEPOSIT, DesignOffset())[0] == pytest.approx(0.2 / -np.log(0.62))
+
+
+def test_wear_of_share_is_logarithmic():
+    np.testing.assert_allclose(wear_of(np.array([0.5]), np.array([0.01]), LOSS), [[np.log(2.0)], [0.02]])
+
+
+@pytest.fixture(params=[(8, 0.005), (9, (1.4826**2 * 0.03**2 / 2.0 - 0.01**2) ** 0.5)], ids=["few", "enough"])
+def steps(request):
+    """Losses of some flights that differ by turns, and their scatter: of eight steps on, less what each is unsure."""
+    n, scatter = request.param
+    return np.tile([0.0, 0.03], n)[:n], scatter
+
+
+@pytest.mark.parametrize("gap", [[], [3]], ids=["whole", "missing"])
+def test_scatter_follows_flight_steps(steps, gap):
+    values, scatter = steps
+    values = np.insert(values, gap, np.nan)
+    assert scatter_sd(values, np.full(len(values), 0.01**2)) == pytest.approx(scatter)
+
+
+def test_flight_variance_adds_scatter(steps):
+    values, scatter = steps
+    size = wear_settings(COMPONENT, DEPOSIT, DesignOffset())[0]
+    rows = flights(len(values), valve_loss=list(size * values), valve_loss_sd=0.01 * size)
+    variance = _loss(rows, DEPOSIT, COMPONENT, DesignOffset()).observations[1]
     np.testing.assert_allclose(variance, 0.01**2 + scatter**2)
 
 
+STATUS = pl.Series("status", ["converged", "diverged", "not_identifiable", "converged"])
+HALF_SILENT = flights(4, valve_loss=[0.01, 0.7, 0.7, 0.02], valve_loss_sd=0.01).with_columns(STATUS)
+
+
 def test_silent_flight_is_predicted():
-    """One that does, as the wear it has beyond the declared design's: its own deviation, and the least scatter."""
-    status = pl.Series(["converged", "diverged", "not_identifiable", "converged"])
-    rows = flights(4, valve_loss=[0.01, 0.7, 0.7, 0.02], valve_loss_sd=0.01).with_columns(status=status)
-    health = track_component(rows, COMPONENT, log()).health
+    health = track_component(HALF_SILENT, COMPONENT, log()).health
     for _, track in health.group_by("parameter"):
         assert track["status"].to_list() == ["ok", "predicted", "predicted", "ok"]
     assert health["value"].max() < 0.1
-    loss = _loss(rows, VALVE.param("valve_loss"), COMPONENT, DesignOffset(0.02))
+
+
+def test_flight_counts_beyond_declared_design():
+    """Its wear, of its own deviation and the least scatter."""
+    loss = _loss(HALF_SILENT, LOSS, COMPONENT, DesignOffset(0.02))
     ratio, variance, exposure = loss.observations
     np.testing.assert_allclose(ratio, (np.log([0.99, np.nan, np.nan, 0.98]) - 0.02) / loss.size)
-    own = (0.01 / np.array([0.99, 0.98]) / loss.size) ** 2 + 0.005**2
-    nothing = 1.0
-    np.testing.assert_allclose(variance, [own[0], nothing, nothing, own[1]])
+    first, last = (0.01 / np.array([0.99, 0.98]) / loss.size) ** 2 + 0.005**2
+    np.testing.assert_allclose(variance, [first, 1.0, 1.0, last])
     np.testing.assert_array_equal(exposure, np.ones(4))
 
 
-def test_night_continues_from_checkpoint():
+@pytest.fixture(scope="module")
+def nights():
+    """Flights, their track, and the track of the night before, its rows marked."""
     losses = 0.001 * np.arange(160) + np.tile([0.0, 0.01], 80)
     early, whole = (flights(n, valve_loss=losses[:n], valve_loss_sd=0.01) for n in (120, 160))
     at_once, before = (track_component(rows, COMPONENT, log(), seal="1") for rows in (whole, early))
-    marked = before._replace(health=before.health.with_columns(status=pl.lit("of the night before")))
-    after = track_component(whole, COMPONENT, log(), previous=marked, seal="1")
+    return whole, at_once, before._replace(health=before.health.with_columns(status=pl.lit("before")))
+
+
+def test_night_continues_from_checkpoint(nights):
+    """As if all had flown at once; rows stay of the last final segment and those before."""
+    whole, at_once, before = nights
+    after = track_component(whole, COMPONENT, log(), previous=before, seal="1")
     columns = [c for c in after.health.columns if c != "status"]
     assert_frame_equal(after.health.select(columns), at_once.health.select(columns), check_row_order=False)
     assert_frame_equal(after.checkpoints, at_once.checkpoints)
-    kept = after.health.filter(status="of the night before")
-    assert kept.group_by("parameter").len()["len"].to_list() == [50, 50]  # the last final segment and those before
-    anew = track_component(whole, COMPONENT, log(), previous=marked, seal="2").health
-    assert anew.filter(status="of the night before").is_empty()
+    assert after.health.filter(status="before").group_by("parameter").len()["len"].to_list() == [50, 50]
+
+
+def test_changed_seal_begins_anew(nights):
+    whole, _, before = nights
+    anew = track_component(whole, COMPONENT, log(), previous=before, seal="2").health
+    assert anew.filter(status="before").is_empty()
 
 
 def test_design_prior_needs_every_deviation():
@@ -111,6 +153,9 @@ def test_design_prior_needs_every_deviation():
     np.testing.assert_allclose(prior.mean, [2.0, 1.0])
     np.testing.assert_allclose(prior.cov, np.diag([0.09, 0.25]))
     assert design_prior(replace(both, params=(sure, unsure))) is None
+
+
+def test_track_needs_a_flight():
     with pytest.raises(ValueError, match="no flight"):
         track_component(flights(0, valve_loss=0.1), COMPONENT, log())
 
@@ -132,16 +177,19 @@ def read(values: list[float | None], **changes: object) -> dict[str, object]:
     return component_readings(samples, replace(HXT, readings=(reading,))).row(0, named=True)
 
 
-def test_reading_is_mean_without_spikes():
+def test_reading_is_mean_of_samples():
+    values = [298.0, 299.0, 300.0, 301.0, 302.0, 307.0, 308.9]
+    row = read(values)
+    assert (row["status"], row["value"]) == ("measured", pytest.approx(np.mean(values)))
+
+
+@pytest.mark.parametrize(("away", "is_used"), [(7.3, True), (7.5, False)])
+def test_reading_drops_spikes(away, is_used):
     """Five robust deviations from the median: the median deviation is 1, so 7.4 away."""
-    row = read([298.0, 299.0, 300.0, 301.0, 302.0, 307.0, 308.9])
-    assert row["status"] == "measured"
-    assert row["value"] == pytest.approx(np.mean([298, 299, 300, 301, 302, 307, 308.9]))
-    calm = [299.0, 299.0, 300.0, 301.0, 301.0]
-    for away, is_used in ((7.3, True), (7.5, False)):
-        row = read([*calm, *calm, 300.0 + away])
-        sound = [*calm, *calm, *([300.0 + away] if is_used else [])]
-        assert (row["value"], row["sd"]) == pytest.approx((np.mean(sound), np.std(sound, ddof=1)))
+    calm = [299.0, 299.0, 300.0, 301.0, 301.0] * 2
+    row = read([*calm, 300.0 + away])
+    sound = [*calm, *([300.0 + away] if is_used else [])]
+    assert (row["value"], row["sd"]) == pytest.approx((np.mean(sound), np.std(sound, ddof=1)))
 
 
 @pytest.mark.parametrize(
@@ -170,7 +218,7 @@ NO_WORK = pl.DataFrame(schema={"operator": pl.String, "tail": pl.String, "pack":
 SIGNALS = ["hot_in_k", "hot_out_k", "tat_k", "altitude_m", "mach"]
 
 
-def flown(losses: list[float], spray: float = 0.4, sensor_k: float = 0.3) -> pl.DataFrame:
+def fly(losses: list[float], spray: float = 0.4, sensor_k: float = 0.3) -> pl.DataFrame:
     """Climbs of one pack, a sample every ten seconds, in the long form of the store."""
     flights = []
     for k, loss in enumerate(losses):
@@ -204,7 +252,7 @@ def run_component(signals: pl.DataFrame, component) -> tuple[pl.DataFrame, pl.Da
 
 
 def test_few_flights_keep_prior():
-    few = [run_component(flown([0.0] * n, spray=0.0), COOLER) for n in (1, 9)]
+    few = [run_component(fly([0.0] * n, spray=0.0), COOLER) for n in (1, 9)]
     for design, health, _ in few:
         assert design["n_flights"].unique().to_list() == [0]
         assert not design["identifiable"].any()
@@ -212,15 +260,17 @@ def test_few_flights_keep_prior():
         assert health["value"].abs().max() < COOLER.warn_loss
     one, nine = (health["sd"][-1] for _, health, _ in few)
     assert 0.8 * one < nine < COOLER.warn_loss  # what they share does not average out
-    _, health, readings = run_component(flown([0.0, 0.0]), COOLER)
+
+
+def test_effectiveness_above_one_keeps_prior():
+    _, health, readings = run_component(fly([0.0, 0.0]), COOLER)
     status = dict(readings.filter(flight_id="T-1_20240101_01").select("parameter", "status").rows())
     assert status["hxt_effectiveness"] == status["hxt_effectiveness_fast"] == "one_or_more"
-    assert health["value"].to_list() == [0.0, 0.0]
-    assert health["status"].to_list() == ["prior_only"] * 2
+    assert health.select("value", "status").rows() == [(0.0, "prior_only")] * 2
 
 
 def test_logged_unit_counts_as_new():
-    signals = flown([0.0] * 35 + [0.06] * 5)  # as made, the second unit is 6 % smaller
+    signals = fly([0.0] * 35 + [0.06] * 5)  # as made, the second unit is 6 % smaller
     work = pl.DataFrame([("AAA", "T-1", 1, "HXT", "REPLACED", date(2024, 2, 5))], NO_WORK.schema, orient="row")
     samples = component_samples(signals, SPRAYED)
     legs, design = commission(signals, work, SPRAYED)
@@ -233,14 +283,17 @@ def test_logged_unit_counts_as_new():
 
 
 def test_recovers_accepted_spray():
-    design, health, _ = run_component(flown([0.0] * 60 + [0.3] * 5), SPRAYED)
+    design, health, _ = run_component(fly([0.0] * 60 + [0.3] * 5), SPRAYED)
     values = dict(design.select("parameter", "value").rows())
     assert values["hxt_ntu"] == pytest.approx(TRUE["hxt_ntu"], rel=0.03)
     assert values["hxt_water_spray"] == pytest.approx(TRUE["hxt_water_spray"], abs=0.03)
     assert health["value"][:60].abs().max() < 0.05
     assert health["value"][-1] == pytest.approx(0.3, abs=0.06)
     assert set(health["status"]) == {"ok"}
-    signals = flown([0.0]).filter(~pl.col("signal").is_in(["mach", "altitude_m"]))
+
+
+def test_missing_signal_is_reported():
+    signals = fly([0.0]).filter(~pl.col("signal").is_in(["mach", "altitude_m"]))
     legs, _ = commission(signals, NO_WORK, COOLER)
     assert legs["reason"].to_list() == ["NOT_RECORDED"]
     readings = component_readings(component_samples(signals, COOLER), COOLER)
@@ -254,12 +307,12 @@ def test_lumped_coefficients_need_outlet_difference():
     outlets = [300.0, 315.0, 330.0, None]
     at = {"hx_in_k": 400.0, "hx_out_k": 320.0, "tat_k": 250.0, "pack_flow_kg_s": 0.8, "ram_flow_kg_s": 1.6}
     rows = lumped_coefficients(flights(4, ram_out_k=outlets, **at))
-    hot, cold = (rows.filter(parameter=name).row(0, named=True) for name in ("hx_h_hot_w_k", "hx_h_cold_w_k"))
-    assert hot["value"] == pytest.approx(0.8 * 1009.0 * 80.0 / 20.0)
-    assert cold["value"] == pytest.approx(1.6 * 1005.0 * 50.0 / 20.0)
-    across_sd_k = np.hypot(1.0, 1.0)
-    assert hot["sd"] / hot["value"] == pytest.approx(np.hypot(across_sd_k / 20.0, 0.02))
-    assert cold["sd"] / cold["value"] == pytest.approx(np.hypot(across_sd_k / 20.0, 0.08))
+    first = rows.filter(flight_id="T-1_000").sort("parameter", descending=True)
+    assert first["parameter"].to_list() == ["hx_h_hot_w_k", "hx_h_cold_w_k"]
+    expected = [0.8 * 1009.0 * 80.0 / 20.0, 1.6 * 1005.0 * 50.0 / 20.0]
+    np.testing.assert_allclose(first["value"], expected, rtol=1e-6)
+    shares = np.hypot(np.hypot(1.0, 1.0) / 20.0, [0.02, 0.08])
+    np.testing.assert_allclose(first["sd"], shares * expected, rtol=1e-6)
     assert rows["status"].to_list() == ["ok", *["not_identifiable"] * 3] * 2
     assert rows["value"].null_count() == rows["sd"].null_count() == 6
 

@@ -29,26 +29,44 @@ def test_batched_pass_equals_literal_recursion(flights, model):
     assert batched.equals(literal)
 
 
+@pytest.fixture(scope="module")
+def whole(flights, model):
+    """Track of all flights, without a log."""
+    return track(flights, NO_LOG, model).health
+
+
 def test_later_flights_change_no_estimate(flights, model, fleet):
+    """Nor does a later entry of the log."""
     cut = flights["departed_at"].min() + timedelta(days=70)
-    before = flights.filter(pl.col("departed_at") < cut)
-    later_log = replaced(fleet, "T-00", 90)
     causal = ~pl.col("parameter").str.ends_with("_smoothed")
-    early, whole = (track(f, log, model).health.filter(causal) for f, log in ((before, NO_LOG), (flights, later_log)))
-    same = whole.filter(pl.col("departed_at") < cut)
-    assert early.select(*IN_ORDER, "parameter").equals(same.select(*IN_ORDER, "parameter"))
+    later_log = replaced(fleet, "T-00", 90)
+    early = track(flights.filter(pl.col("departed_at") < cut), NO_LOG, model).health.filter(causal)
+    same = track(flights, later_log, model).health.filter(causal, pl.col("departed_at") < cut)
+    assert early.select(*IN_ORDER, "parameter", "status").equals(same.select(*IN_ORDER, "parameter", "status"))
     for column in ("value", "sd"):
         np.testing.assert_allclose(early[column].to_numpy(), same[column].to_numpy(), atol=1e-12, rtol=0)
-    assert early["status"].equals(same["status"])
+
+
+def test_earlier_work_changes_no_estimate(flights, model, fleet, whole):
     first = flights["departed_at"].min()
     long_ago = replaced(fleet, "T-00", 0).with_columns(done_on=pl.lit(first.date() - timedelta(days=40)))
-    assert track(flights, long_ago, model).health.equals(track(flights, NO_LOG, model).health)
-    rows = track(flights, NO_LOG, model).health.filter(pl.col("parameter") == "hx_fouling")
-    joined = rows.join(fleet.truth, on=["tail", "flight_id", "pack"])
-    off = joined["value"].to_numpy() - joined["loss"].to_numpy()
+    assert track(flights, long_ago, model).health.equals(whole)
+
+
+@pytest.fixture(scope="module")
+def with_truth(whole, fleet):
+    """Fouling beside the true loss."""
+    return whole.filter(parameter="hx_fouling").join(fleet.truth, on=["tail", "flight_id", "pack"])
+
+
+def test_recovers_true_fouling(with_truth):
+    off = with_truth["value"].to_numpy() - with_truth["loss"].to_numpy()
     assert np.abs(off).mean() < 0.03
-    assert np.mean(np.abs(off) < 1.645 * joined["sd"].to_numpy()) > 0.75
-    worn = joined.filter(pl.col("loss").max().over("tail", "pack") > 0.2)
+    assert np.mean(np.abs(off) < 1.645 * with_truth["sd"].to_numpy()) > 0.75
+
+
+def test_worn_packs_are_ranked_by_loss(with_truth):
+    worn = with_truth.filter(pl.col("loss").max().over("tail", "pack") > 0.2)
     for pack in worn.partition_by("tail", "pack"):
         assert pack.select(pl.corr("value", "loss", method="spearman")).item() > 0.97
 
@@ -77,12 +95,13 @@ def test_intervals_cover_many_units(model):
 def test_replacement_sharpens_the_estimate(model):
     loss = np.r_[np.linspace(0.15, 0.45, 80), np.linspace(0.0, 0.05, 60)]
     twin = flights_with_loss(model, loss, offset=0.05)
-    log = NO_LOG.clear().vstack(entry(twin, 80, "HX", "REPLACED"))
-    rows = fouling(twin, log, model)
+    rows = fouling(twin, entry(twin, 80, "HX", "REPLACED"), model)
     assert rows["sd"][5] > 2.0 * rows["sd"][100]
     np.testing.assert_allclose(rows["value"].to_numpy()[90:], loss[90:], atol=0.02)
-    loss = np.r_[np.linspace(0.0, 0.4, 100), np.zeros(40)]
-    twin = flights_with_loss(model, loss)
+
+
+def test_late_entry_ends_as_punctual_one(model):
+    twin = flights_with_loss(model, np.r_[np.linspace(0.0, 0.4, 100), np.zeros(40)])
     punctual, late = (fouling(twin, entry(twin, k, "HX", "REPLACED"), model)["value"].to_numpy() for k in (100, 105))
     np.testing.assert_allclose(punctual[110:], late[110:], atol=0.01)
 
@@ -110,25 +129,33 @@ def test_wash_leaves_part_of_wear(model):
     # what was not known of the unit before the wash is not known after it either, and no more than that
     np.testing.assert_allclose(off[100:], off[80:90].mean(), atol=0.03)
     assert (np.abs(off) < 2.0 * rows["sd"].to_numpy()).all()
-    loss = np.linspace(0.0, 0.08, 120)
-    twin = flights_with_loss(model, loss)
+
+
+def test_passing_fault_leaves_all_wear(model):
+    twin = flights_with_loss(model, np.linspace(0.0, 0.08, 120))
     shifted = pl.int_range(pl.len()).is_between(50, 70)
     faulty = twin.with_columns(ln_ua_ratio=pl.col("ln_ua_ratio") - 0.35 * shifted.cast(pl.Float64))
     sound, during = (fouling(frame, NO_LOG, model) for frame in (twin, faulty))
     np.testing.assert_allclose(during["value"].to_numpy()[80:], sound["value"].to_numpy()[80:], atol=0.02)
     # while it lasts nobody can tell it from a clog, and the estimate says so
     assert (during["sd"].to_numpy()[53:70] > 2.0 * sound["sd"].to_numpy()[53:70]).all()
-    twin = flights_with_loss(model, np.zeros(20)).with_columns(ln_ua_ratio=None, status=pl.lit("no_cruise"))
-    rows = fouling(twin.with_columns(pl.col("ln_ua_ratio").cast(pl.Float64)), NO_LOG, model)
+
+
+def test_flights_without_cruise_are_predicted(model):
+    twin = flights_with_loss(model, np.zeros(20))
+    blind = twin.with_columns(ln_ua_ratio=pl.lit(None, pl.Float64), status=pl.lit("no_cruise"))
+    rows = fouling(blind, NO_LOG, model)
     assert rows["status"].unique().to_list() == ["predicted"]
     assert rows["value"].is_finite().all()
     assert (rows["sd"] > 0.04).all()
 
 
 def test_clog_is_followed(model):
-    loss = np.r_[np.full(60, 0.05), np.full(60, 0.25)]
-    rows = fouling(flights_with_loss(model, loss), NO_LOG, model)
+    rows = fouling(flights_with_loss(model, np.repeat([0.05, 0.25], 60)), NO_LOG, model)
     np.testing.assert_allclose(rows["value"].to_numpy()[-1], 0.25, atol=0.05)
+
+
+def test_stray_flight_moves_little(model):
     twin = flights_with_loss(model, np.full(80, 0.1))
     stray = twin.with_columns(ln_ua_ratio=pl.when(pl.int_range(pl.len()) == 50).then(-0.9).otherwise("ln_ua_ratio"))
     a, b = (fouling(frame, NO_LOG, model)["value"].to_numpy() for frame in (twin, stray))
@@ -136,9 +163,8 @@ def test_clog_is_followed(model):
 
 
 def test_vouched_step_is_followed_quickly(model):
-    """A blockage of 37 % for six flights, three redundant sensors quiet and without any."""
-    loss = np.r_[np.full(60, 0.09), np.full(6, 0.37), np.full(10, 0.0)]
-    twin = flights_with_loss(model, loss)
+    """A blockage of 37 % for six flights: within two, where other sensors vouch for those of the ratio."""
+    twin = flights_with_loss(model, np.repeat([0.09, 0.37, 0.0], [60, 6, 10]))
     quiet = twin.with_columns(
         exit_apart_k=pl.lit(0.1),
         flows_apart_ln=pl.lit(0.001),
@@ -147,11 +173,13 @@ def test_vouched_step_is_followed_quickly(model):
         ratio_per_ln_flow=pl.lit(0.8),
         ratio_per_tat_k=pl.lit(0.026),
     )
-    vouched, alone = (fouling(frame, NO_LOG, model) for frame in (quiet, twin))
-    np.testing.assert_allclose(vouched["value"].to_numpy()[61:66], 0.37, atol=0.07)
-    assert (np.abs(vouched["value"].to_numpy()[61:66] - 0.37) < vouched["sd"].to_numpy()[61:66]).all()
-    assert (vouched["sd"].to_numpy()[61:66] < alone["sd"].to_numpy()[61:66]).all()
-    assert (np.abs(alone["value"].to_numpy()[61:66] - 0.37) < 1.645 * alone["sd"].to_numpy()[61:66]).all()
+    vouched, alone = (
+        fouling(frame, NO_LOG, model).select("value", "sd").to_numpy()[61:66].T for frame in (quiet, twin)
+    )
+    np.testing.assert_allclose(vouched[0], 0.37, atol=0.07)
+    assert (np.abs(vouched[0] - 0.37) < vouched[1]).all()
+    assert (vouched[1] < alone[1]).all()
+    assert (np.abs(alone[0] - 0.37) < 1.645 * alone[1]).all()
 
 
 def test_smoothing_reduces_error(model):
@@ -186,20 +214,28 @@ def test_short_record_has_wide_estimates(model, n_flights):
     assert (rows["sd"] > 0.5 * model.offset_sd * 0.5).all()
 
 
-def test_flights_have_each_parameter_once(flights, model):
-    rows = track(flights, NO_LOG, model).health
-    assert rows.select("tail", "flight_id", "pack", "parameter").is_duplicated().sum() == 0
-    assert rows.height == flights.height * rows["parameter"].n_unique()
-    hidden = rows.filter(pl.col("status") == "not_identifiable")
+def test_flights_have_each_parameter_once(flights, whole):
+    assert whole.select("tail", "flight_id", "pack", "parameter").is_duplicated().sum() == 0
+    assert whole.height == flights.height * whole["parameter"].n_unique()
+
+
+def test_hidden_parameters_have_no_value(whole):
+    hidden = whole.filter(status="not_identifiable")
     assert hidden["value"].null_count() == hidden.height == hidden["sd"].null_count()
-    valued = rows.filter(pl.col("value").is_not_null())
-    assert valued["sd"].is_not_null().all()
-    assert (valued["sd"] >= 0.0).all()
+
+
+def test_values_have_deviations(whole):
+    assert (whole.filter(pl.col("value").is_not_null())["sd"].fill_null(-1.0) >= 0.0).all()
+
+
+def test_no_flights_give_no_rows(flights, model):
     assert track(flights.clear(), NO_LOG, model).health.height == 0
-    sure = model
-    unsure = replace(model, clean_level_sd=0.1)
-    a, b = (fouling(flights.sort(IN_ORDER), NO_LOG, m)["sd"].mean() for m in (sure, unsure))
-    assert b > a
+
+
+def test_unsure_level_widens_estimates(flights, model):
+    models = (model, replace(model, clean_level_sd=0.1))
+    sure, unsure = (fouling(flights.sort(IN_ORDER), NO_LOG, m)["sd"].mean() for m in models)
+    assert unsure > sure
 
 
 def replaced(fleet, tail: str, k: int) -> pl.DataFrame:
