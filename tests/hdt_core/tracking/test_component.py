@@ -25,7 +25,7 @@ LOSS = np.repeat([0.0, 0.1, 0.25, 0.4], 30)
 SAMPLES = 12
 
 
-def flown(noise_k: float) -> pl.DataFrame:
+def fly(noise_k: float) -> pl.DataFrame:
     """A pack's exchanger over 120 flights of 12 samples, fouling in steps, both outlets with this noise."""
     rng = np.random.default_rng(5)
     n = LOSS.size * SAMPLES
@@ -44,7 +44,7 @@ def flown(noise_k: float) -> pl.DataFrame:
 
 @pytest.fixture(scope="module")
 def samples() -> pl.DataFrame:
-    return flown(0.5)
+    return fly(0.5)
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +52,12 @@ def flights(samples) -> pl.DataFrame:
     return flight_by_flight(samples, BUILT, ["hx_fouling"])
 
 
-def tracked(flights: pl.DataFrame) -> pl.DataFrame:
+def track_fouling(flights: pl.DataFrame) -> pl.DataFrame:
     """The track of an exchanger whose design is the one it is judged by, but for its sensors."""
-    return both_tracks(flights).filter(parameter="hx_fouling")
+    return track_both(flights).filter(parameter="hx_fouling")
 
 
-def both_tracks(flights: pl.DataFrame) -> pl.DataFrame:
+def track_both(flights: pl.DataFrame) -> pl.DataFrame:
     """The track, and the smoothed one."""
     return track_component(flights, replace(HX, model=BUILT), log(), DesignOffset(0.0, 0.0)).health
 
@@ -68,9 +68,11 @@ def test_losses_scatter_as_stated(flights):
     assert set(flights["status"]) == {"converged"}
     assert np.abs(z).max() < 4.0
     assert 0.8 < z.std() < 1.2
+
+
+def test_failed_flight_is_predicted(flights):
     status = pl.when(pl.col("flight_id") == "T-00_050").then(pl.lit("diverged")).otherwise("status")
-    blind = flights.with_columns(status.alias("status"))
-    track = tracked(blind)
+    track = track_fouling(flights.with_columns(status.alias("status")))
     assert track["status"].to_list() == ["predicted" if k == 50 else "ok" for k in range(120)]
     assert track["value"][50] == pytest.approx(track["value"][49], abs=2e-3)
     assert track["sd"][50] > track["sd"][49]
@@ -80,30 +82,47 @@ def test_estimators_agree_on_losses(samples, flights):
     some = samples.filter(pl.col("flight_id") < "T-00_010")
     other = flight_by_flight(some, BUILT, ["hx_fouling"], estimator=ExtendedKalman())
     np.testing.assert_allclose(other["hx_fouling"], flights["hx_fouling"][:10], atol=2e-3)
-    means = component_residuals(samples, flights, BUILT, "HX")
-    hot = means.filter(pl.col("signal") == "hot_out_k")
+
+
+def test_twin_explains_the_loss(samples, flights):
+    hot = component_residuals(samples, flights, BUILT, "HX").filter(signal="hot_out_k")
     by_kind = {k: f.sort("flight_id")["mean"].to_numpy() for (k,), f in hot.group_by("kind")}
     total = by_kind["sensor_minus_dsm"] + by_kind["dsm_minus_twin"]
     np.testing.assert_allclose(by_kind["sensor_minus_twin"], total, atol=1e-9)
     assert by_kind["sensor_minus_dsm"][LOSS == 0.4].min() > 10.0
     assert np.abs(by_kind["sensor_minus_twin"]).max() < 1.0
+
+
+def test_missing_outputs_are_named(samples):
     with pytest.raises(ValueError, match="heat_exchanger: the samples hold no column of hot_out_k, ram_out_k"):
         flight_by_flight(samples.drop("hot_out_k", "ram_out_k"), BUILT, ["hx_fouling"])
+
+
+def test_track_needs_a_flight(flights):
     with pytest.raises(ValueError, match="heat_exchanger: no flight to follow"):
-        tracked(flights.clear())
+        track_fouling(flights.clear())
 
 
-def test_filtering_reduces_scatter(flights):
-    track = tracked(flights)
-    rough, smooth = (np.abs(f.to_numpy() - LOSS)[5:30].std() for f in (flights["hx_fouling"], track["value"]))
+@pytest.fixture(scope="module")
+def filtered(flights) -> pl.DataFrame:
+    return track_fouling(flights)
+
+
+def test_filtering_reduces_scatter(flights, filtered):
+    rough, smooth = (np.abs(f.to_numpy() - LOSS)[5:30].std() for f in (flights["hx_fouling"], filtered["value"]))
     assert smooth < 0.8 * rough
-    early = tracked(flights.head(60))
-    # the scatter of flights is learned from all that were given; the path itself is causal
-    np.testing.assert_allclose(early["value"], track["value"][:60], atol=5e-3)
-    assert track["sd"].max() < 0.05
-    smoothed = both_tracks(flights).filter(parameter="hx_fouling_smoothed")
+    assert filtered["sd"].max() < 0.05
+
+
+def test_filter_ignores_later_flights(flights, filtered):
+    """But for the scatter of flights, which is learned from all."""
+    early = track_fouling(flights.head(60))
+    np.testing.assert_allclose(early["value"], filtered["value"][:60], atol=5e-3)
+
+
+def test_smoothing_nears_true_loss(flights, filtered):
+    smoothed = track_both(flights).filter(parameter="hx_fouling_smoothed")
     assert smoothed.select("estimator", "status").unique().rows() == [("nls, smoothed", "ok")]
-    filtered = tracked(flights)
     assert smoothed["flight_id"].equals(filtered["flight_id"])
     far, near = (np.abs(f["value"].to_numpy() - LOSS).mean() for f in (filtered, smoothed))
     assert near < 0.8 * far
@@ -111,11 +130,14 @@ def test_filtering_reduces_scatter(flights):
 
 
 def test_unidentifiable_design_is_refused():
-    still = flown(0.5).head(SAMPLES)
+    still = fly(0.5).head(SAMPLES)
     constant = [pl.col(s.name).first() for s in HEAT_EXCHANGER.inputs]
     with pytest.raises(ValueError, match=r"heat_exchanger: .* from 12 nominal samples: not_identifiable"):
         calibrate_component(HEAT_EXCHANGER, still.with_columns(constant))
-    narrow = flown(0.0).filter(pl.col("flight_id") < "T-00_010")
+
+
+def test_calm_flows_leave_exponents_open():
+    narrow = fly(0.0).filter(pl.col("flight_id") < "T-00_010")
     middle = {s: narrow[s].mean() for s in ("hot_flow_kg_s", "ram_flow_kg_s")}
     calm = narrow.with_columns(*(((pl.col(s) - m) * 0.02 + m).alias(s) for s, m in middle.items()))
     outlets = HEAT_EXCHANGER.predict({}, {s.name: calm[s.name].to_numpy() for s in HEAT_EXCHANGER.inputs})
@@ -166,12 +188,15 @@ def test_steady_flow_leaves_exponent_open(flow_spread, weak):
     assert abs(estimate.belief.mean[1] - 0.8) < 4.0 * estimate.belief.sd[1]
 
 
-def test_stray_flight_moves_little(flights):
+def test_stray_flight_moves_little(flights, filtered):
     stray = pl.when(pl.col("flight_id") == "T-00_045").then(pl.col("hx_fouling") - 0.3).otherwise("hx_fouling")
-    clean, struck = (tracked(f) for f in (flights, flights.with_columns(stray.alias("hx_fouling"))))
-    difference = (struck["value"] - clean["value"]).abs()
-    assert difference[45:].max() < 2.0 * clean["sd"][45]
-    late = np.abs(clean["value"].to_numpy() - LOSS)
+    struck = track_fouling(flights.with_columns(stray.alias("hx_fouling")))
+    difference = (struck["value"] - filtered["value"]).abs()
+    assert difference[45:].max() < 2.0 * filtered["sd"][45]
+
+
+def test_step_is_followed_from_second_flight(filtered):
+    late = np.abs(filtered["value"].to_numpy() - LOSS)
     assert late[[30, 60, 90]].min() > 0.05  # a flight alone may be an outlier
     assert late[[31, 61, 91]].max() < 0.02
 
@@ -190,40 +215,65 @@ def accuracy_pct(rows: pl.DataFrame) -> float:
     return 100.0 * float((predicted == y).mean())
 
 
+def test_every_cycle_has_its_answer(rig):
+    assert rig["flights"].height == rig["cycles"].height == 2205
+    assert set(rig["flights"]["status"]) == {rig["fit"].status} == {"converged"}
+
+
+def test_rules_leave_nominal_cycles(rig):
+    counts = (rig["cycles"]["steady"].sum(), rig["ruled"].height, rig["nominal"].height, rig["settled"].height)
+    assert counts == (2165, 489, 487, 1449)
+
+
+def median_by_setting(rig: dict[str, Any], column: str) -> dict[int, float]:
+    return dict(rig["settled"].group_by("cooler_pct").agg(pl.col(column).median()).rows())
+
+
 def test_conductance_follows_rig_settings(rig):
-    assert rig["flights"].height == 2205
-    assert set(rig["flights"]["status"]) == {"converged"}
-    assert rig["fit"].status == "converged"
-    assert (rig["cycles"]["steady"].sum(), rig["ruled"].height, rig["nominal"].height) == (2165, 489, 487)
-    # Near 174, 83 and 54 W/K, from four channels by hand; within a tenth, and in order.
-    ua = dict(rig["settled"].group_by("cooler_pct").agg(pl.col("ua_w_k").median()).rows())
+    """Near 174, 83 and 54 W/K, from four channels by hand; within a tenth, and in order."""
+    ua = median_by_setting(rig, "ua_w_k")
     assert ua == pytest.approx({100: 174.0, 20: 83.0, 3: 54.0}, rel=0.1)
     assert ua == pytest.approx({100: 173.8, 20: 84.2, 3: 51.1}, abs=0.05)
     assert rig["dsm"].nominal["hc_ua_w_k"] == pytest.approx(174.0, abs=0.05)
-    loss = dict(rig["settled"].group_by("cooler_pct").agg(pl.col("hc_fouling").median()).rows())
-    assert loss == pytest.approx({100: 0.001, 20: 0.516, 3: 0.706}, abs=5e-4)
-    assert rig["cycles"].height == 2205
-    assert rig["settled"].height == 1449
-    assert accuracy_pct(rig["cycles"]) == pytest.approx(99.77, abs=0.005)
-    assert accuracy_pct(rig["settled"]) == 100.0
 
 
-def test_other_faults_hardly_move_conductance(rig):
-    """In per cent of the setting's median: on average over the settings, from the last three
-    cycles before a change of valve, pump or accumulator to the first three after it, in points of the conductance as
-    built, and of a level's median by setting."""
+def test_loss_follows_rig_settings(rig):
+    assert median_by_setting(rig, "hc_fouling") == pytest.approx({100: 0.001, 20: 0.516, 3: 0.706}, abs=5e-4)
+
+
+@pytest.mark.parametrize(("cycles", "expected", "off"), [("cycles", 99.77, 0.005), ("settled", 100.0, 0.0)])
+def test_setting_follows_from_conductance(rig, cycles, expected, off):
+    assert accuracy_pct(rig[cycles]) == pytest.approx(expected, abs=off)
+
+
+@pytest.fixture(scope="module")
+def conductances(rig) -> pl.DataFrame:
+    """Settled cycles, off the median of their setting: in per cent of it, and of the conductance as built."""
     middle = pl.col("ua_w_k").median().over("cooler_pct")
     off_w_k = pl.col("ua_w_k") - middle
     nominal_w_k = rig["dsm"].nominal["hc_ua_w_k"]
-    moved = rig["settled"].with_columns(share=100.0 * off_w_k / middle, points=100.0 * off_w_k / nominal_w_k)
-    by_level = [moved.group_by(fault).agg(pl.col("share").mean().abs()) for fault in FAULTS]
+    return rig["settled"].with_columns(share=100.0 * off_w_k / middle, points=100.0 * off_w_k / nominal_w_k)
+
+
+def test_other_faults_hardly_move_conductance(conductances):
+    """On average over the settings."""
+    by_level = [conductances.group_by(fault).agg(pl.col("share").mean().abs()) for fault in FAULTS]
     assert max(level["share"].max() for level in by_level) == pytest.approx(3.2, abs=0.05)
-    by_cell = [moved.group_by("cooler_pct", fault).agg(pl.col("share", "points").median().abs()) for fault in FAULTS]
+
+
+def test_other_faults_hardly_move_settings(conductances):
+    """By setting, of each fault's level the median."""
+    share_points = pl.col("share", "points")
+    by_cell = [conductances.group_by("cooler_pct", fault).agg(share_points.median().abs()) for fault in FAULTS]
     cells = pl.concat(cell.select("cooler_pct", "share", "points") for cell in by_cell)
     assert cells["points"].max() == pytest.approx(2.6, abs=0.05)
     worst = dict(cells.group_by("cooler_pct").agg(pl.col("share").max()).rows())
     assert worst == pytest.approx({100: 1.5, 20: 0.9, 3: 8.8}, abs=0.05)
     assert cells.filter(pl.col("cooler_pct") > 3).height == 22
+
+
+def test_changed_faults_hardly_move_conductance(rig):
+    """From the last three cycles before a change of valve, pump or accumulator to the first three after it."""
     runs = (
         rig["settled"]
         .group_by("run", maintain_order=True)
@@ -246,13 +296,19 @@ def test_twin_explains_the_rig(rig):
     assert left["rms"].quantile(0.95) < 0.2
     rms = dict(rig["residuals"].group_by("kind").agg(pl.col("rms").median()).rows())
     assert rms == pytest.approx({"sensor_minus_dsm": 5.15, "dsm_minus_twin": 5.15, "sensor_minus_twin": 0.06}, abs=5e-3)
-    # The rig's cooler was opened twice, before cycles 732 and 1464, and its loss settles within five cycles of the
-    # start: a median of three cycles shows it from the second or third on, and the twelve before hold it up that long.
-    stepped = rig["described"].sort("cycle").filter(pl.col("hc_fouling_step_3").abs() > 0.1)["cycle"].to_list()
+
+
+def test_steps_show_only_rig_repairs(rig):
+    """Its cooler was opened twice, before cycles 732 and 1464, and its loss settles within five cycles of the start: a
+    median of three cycles shows it from the second or third on, and the twelve before hold it up that long."""
+    by_cycle = rig["described"].sort("cycle")
+    stepped = by_cycle.filter(pl.col("hc_fouling_step_3").abs() > 0.1)["cycle"].to_list()
     assert stepped == [6, 7, 8, *range(735, 741), *range(1466, 1475)]
     since = [cycle - max(opened for opened in (0, 732, 1464) if opened <= cycle) for cycle in stepped]
     assert max(since) < 15
     assert since.count(3) == 2
-    by_cycle = rig["described"].sort("cycle")
     assert by_cycle["hc_fouling_step_3"].min() < -0.15
-    assert by_cycle["hc_fouling_slope_30_per_flight"].drop_nulls().is_finite().all()
+
+
+def test_rig_slopes_are_finite(rig):
+    assert rig["described"]["hc_fouling_slope_30_per_flight"].drop_nulls().is_finite().all()

@@ -49,6 +49,7 @@ def samples(lift: list[float], each: int = 4, speed: float = 1.0) -> pl.DataFram
 
 
 def test_flights_start_from_last_converged():
+    """The first in the middle of the bounds, and none of fewer than three samples."""
     starts: list = []
 
     def estimate(problem):
@@ -61,10 +62,13 @@ def test_flights_start_from_last_converged():
     short = rows.filter((pl.col("flight_id") != "T-1_001") | (pl.col("time_utc").dt.minute() > 0))
     result = flight_by_flight(short, PUMP, ["pmp_loss"], estimator=SimpleNamespace(name="x", estimate=estimate))
     assert result["flight_id"].to_list() == ["T-1_000", "T-1_002", "T-1_003", "T-1_004"]
-    assert starts == pytest.approx([0.4, 0.1, 0.1, 0.3])  # the middle of the bounds, then where one converged
+    assert starts == pytest.approx([0.4, 0.1, 0.1, 0.3])
     assert result["status"].to_list() == ["converged", "max_steps"] * 2
     assert result.select("pmp_loss", "pmp_loss_sd", "n_evals").row(3) == pytest.approx((0.4, 0.01, 7))
-    assert (MIN_SAMPLES, recorded_outputs(PUMP, rows)) == (3, ["lift"])
+
+
+def test_recorded_outputs_are_listed():
+    assert (MIN_SAMPLES, recorded_outputs(PUMP, samples([1.8]))) == (3, ["lift"])
 
 
 @pytest.mark.parametrize(
@@ -77,43 +81,64 @@ def test_stray_lies_five_deviations_off(calm, off, stray):
     assert _strays(flights(len(calm) + 1, pmp_loss=[*calm, off]), "pmp_loss").height == stray
 
 
-@pytest.mark.parametrize(("life", "flights_taken"), [(50.0, 10), (99.0, 10), (300.0, 30), (2000.0, 100)])
-def test_first_tenth_of_life_is_baseline(life, flights_taken):
-    part = Component(*(getattr(PART, f) for f in ("code", "name", "lost", "model", "loss", "limit")), life, "look")
+@pytest.fixture
+def legs() -> pl.DataFrame:
+    """150 flights, of which the fourth is no good."""
     reason = pl.when(pl.int_range(150) == 3).then(pl.lit("SHORT")).otherwise("reason")
-    legs = flights(150, reason="").with_columns(reason.alias("reason"))
-    baseline = _as_built(legs, log(), part)
-    assert baseline.height == flights_taken
+    return flights(150, reason="").with_columns(reason.alias("reason"))
+
+
+@pytest.mark.parametrize(("life", "n_flights"), [(50.0, 10), (99.0, 10), (300.0, 30), (2000.0, 100)])
+def test_first_tenth_of_life_is_baseline(legs, life, n_flights):
+    """Ten to a hundred flights."""
+    baseline = _as_built(legs, log(), replace(PART, life_flights=life))
+    assert baseline.height == n_flights
     assert baseline["flight_id"].to_list()[:5] == ["T-1_000", "T-1_001", "T-1_002", "T-1_004", "T-1_005"]
-    # replaced on the day of flight 24: of the 25 flights of the first unit the last ten are about the work
-    first = _as_built(legs, log(("T-1", 1, "PMP", "REPLACED", 24)), part)
-    assert first["flight_id"].to_list()[-1] == ("T-1_010" if flights_taken == 10 else "T-1_014")
-    assert first.height == (10 if flights_taken == 10 else 14)
 
 
-@pytest.mark.parametrize(("n", "n_rows"), [(9, 0), (10, 2)])
-def test_ten_flights_calibrate_a_pack(n, n_rows):
+@pytest.mark.parametrize(
+    ("life", "n_flights", "last"),
+    [(50.0, 10, "T-1_010"), (99.0, 10, "T-1_010"), (300.0, 14, "T-1_014"), (2000.0, 14, "T-1_014")],
+)
+def test_baseline_ends_before_replacement(legs, life, n_flights, last):
+    """On the day of flight 24: of the 25 flights of the first unit the last ten are about the work."""
+    baseline = _as_built(legs, log(("T-1", 1, "PMP", "REPLACED", 24)), replace(PART, life_flights=life))
+    assert (baseline.height, baseline["flight_id"].to_list()[-1]) == (n_flights, last)
+
+
+def lifts_of(n: int) -> pl.DataFrame:
+    """A pack's samples by a size of 1.9 m."""
     rng = np.random.default_rng(1)
     rows = samples([1.8] * n, 5).with_columns(speed=pl.Series(rng.uniform(0.5, 1.5, 5 * n)))
-    rows = rows.with_columns(lift=1.9 * pl.col("speed") + pl.Series(0.01 * rng.standard_normal(5 * n)))
+    return rows.with_columns(lift=1.9 * pl.col("speed") + pl.Series(0.01 * rng.standard_normal(5 * n)))
+
+
+def test_nine_flights_calibrate_no_pack():
+    stray, design = _calibrate_pack(lifts_of(9), PART)
+    assert (stray.height, len(design)) == (0, 0)
+
+
+def test_ten_flights_calibrate_a_pack():
+    rows = lifts_of(10)
     stray, design = _calibrate_pack(rows, PART)
-    assert (stray.height, len(design)) == (0, n_rows)
-    if n_rows:
-        name, value, sd, unit, count, identifiable, version, made_by = design[0]
-        assert (name, unit, count, identifiable, len(version), made_by) == ("pmp_size", "m", 10, True, 12, "nls")
-        assert value == pytest.approx(1.9, abs=0.01)
-        assert sd == pytest.approx(0.01 / np.sqrt((rows["speed"] ** 2).sum()), rel=0.2)
-        halved = pl.when(pl.col("flight_id") == "T-1_004").then(0.5).otherwise(1.0)
-        odd = rows.with_columns(lift=pl.col("lift") * halved)
-        stray, design = _calibrate_pack(odd, PART)
-        assert (stray["flight_id"].to_list(), design[0][4]) == (["T-1_004"], 9)
-        assert design[0][1] == pytest.approx(1.9, abs=0.01)
+    assert (stray.height, len(design)) == (0, 2)
+    name, value, sd, unit, count, identifiable, version, made_by = design[0]
+    assert (name, unit, count, identifiable, len(version), made_by) == ("pmp_size", "m", 10, True, 12, "nls")
+    assert value == pytest.approx(1.9, abs=0.01)
+    assert sd == pytest.approx(0.01 / np.sqrt((rows["speed"] ** 2).sum()), rel=0.2)
+
+
+def test_stray_flight_calibrates_nothing():
+    halved = pl.when(pl.col("flight_id") == "T-1_004").then(0.5).otherwise(1.0)
+    stray, design = _calibrate_pack(lifts_of(10).with_columns(lift=pl.col("lift") * halved), PART)
+    assert (stray["flight_id"].to_list(), design[0][4]) == (["T-1_004"], 9)
+    assert design[0][1] == pytest.approx(1.9, abs=0.01)
 
 
 def test_declared_estimator_is_used():
+    """For design and health: a swarm ends where least squares does, and takes longer."""
     rows = samples([1.9 + 0.01 * (-1) ** k for k in range(12)])
     legs = rows.select(LEG).unique(maintain_order=True).with_columns(reason=pl.lit(""))
-    none = log()
     losses = {}
     n_evals = {}
     for method in ("nls", "pso"):
@@ -123,24 +148,33 @@ def test_declared_estimator_is_used():
                          schema=["parameter", "value", "sd", "unit", "n_flights", "identifiable"]), how="cross",
         )  # fmt: skip
         assert design["value"].to_list() == pytest.approx([1.9], abs=1e-3)
-        flown, (health, _) = unit_health(rows.with_columns(nominal=True), legs, design, none, part)
+        estimates, (health, _) = unit_health(rows.with_columns(nominal=True), legs, design, log(), part)
         losses[method] = health["value"]
-        n_evals[method] = flown["n_evals"].median()
+        n_evals[method] = estimates["n_evals"].median()
     np.testing.assert_allclose(losses["pso"], losses["nls"], atol=1e-4)
     assert n_evals["pso"] > 5 * n_evals["nls"]
+
+
+def test_unknown_estimator_is_refused():
     with pytest.raises(ValueError, match=r"component PMP: estimator is nls, pso, ekf, ukf, pinn.*, not guess"):
         declared_estimator(replace(PART, estimator="guess"))
 
 
-def test_second_level_names_its_reasons():
+@pytest.mark.parametrize(
+    ("is_calibrated", "expected"),
+    [
+        (True, [("SHORT", False), ("", True), ("STRAY", False), ("", True)]),
+        (False, [("SHORT", False), *[("NOT_COMMISSIONED", False)] * 3]),
+    ],
+)
+def test_second_level_names_its_reasons(is_calibrated, expected):
     legs = flights(4, reason=["SHORT", "", "", ""])
-    key = legs.select(LEG)
-    pack = legs.select(PACK).unique()
-    own = _second_level(legs, key[2:3], pack)
-    assert own.select("reason", "admitted").rows() == [("SHORT", False), ("", True), ("STRAY", False), ("", True)]
-    none = _second_level(legs, key.clear(), pack.clear())
-    assert none["reason"].to_list() == ["SHORT", *["NOT_COMMISSIONED"] * 3]
-    assert not none["admitted"].any()
+    n = int(is_calibrated)
+    rows = _second_level(legs, legs.select(LEG)[2 : 2 + n], legs.select(PACK).unique()[:n])
+    assert rows.select("reason", "admitted").rows() == expected
+
+
+def test_prior_names_its_version():
     assert _prior(PART) == [("pmp_size", 2.0, 0.2, "m", 0, False, f"prior {PART.version}", "prior")]
 
 
@@ -151,12 +185,17 @@ def test_loss_at_bound_is_unidentifiable(loss, status):
     assert _reject_beyond_range(rows, samples([1.0]), PART)["status"].to_list() == [status]
 
 
-def test_flights_move_the_prior():
+def test_design_offset_spans_design_bounds():
     """A lift of 1.7 is a loss of 0.15 at a size of 2 m, of 0.19 at 2.1 m, as large as it may be."""
     built = design_offset(samples([1.7, 1.7]), PUMP, PART)
     assert built == (pytest.approx(0.0, abs=1e-6), pytest.approx(np.log(2.1 / 2.0), abs=1e-6), None)
+
+
+def test_flights_move_the_prior():
+    """Which stays as unsure as the design."""
     rows = flights(4, pmp_loss=[0.15, 0.15, None, 0.15], pmp_loss_sd=[0.02, None, 0.1, 0.02])
     status = pl.Series(["converged"] * 3 + ["not_identifiable"])
+    built = design_offset(samples([1.7, 1.7]), PUMP, PART)
     health = health_by_prior(rows.with_columns(status=status), built.sd, PART)
     shift_var = (0.15 - (1.0 - 1.7 / 2.1)) ** 2
     weight = 0.15**2 / (0.15**2 + 0.02**2 + shift_var)
@@ -166,6 +205,7 @@ def test_flights_move_the_prior():
 
 
 def test_pack_models_follow_design_order():
+    """A model rests on the prior where no flight calibrated its pack."""
     sizes = np.linspace(1.0, 2.0, 40)
     design = pl.DataFrame(
         {
@@ -180,10 +220,10 @@ def test_pack_models_follow_design_order():
     )
     rows = samples([1.8]).with_columns(tail=pl.lit("T-7"))
     other = design.with_columns(component=pl.lit("OTHER"), value=pl.lit(9.9))
-    models = list(pack_models(rows, pl.concat([other, design]), PART))
-    np.testing.assert_allclose([model.nominal["pmp_size"] for model, _, _ in models], sizes)
-    assert [on_prior for _, on_prior, _ in models] == [True, False] * 20
-    assert [own.height for *_, own in models] == [0, 4] + [0] * 38
+    models, on_prior, own = zip(*pack_models(rows, pl.concat([other, design]), PART), strict=True)
+    np.testing.assert_allclose([model.nominal["pmp_size"] for model in models], sizes)
+    assert list(on_prior) == [True, False] * 20
+    assert [frame.height for frame in own] == [0, 4] + [0] * 38
 
 
 PACKS = pl.DataFrame({"operator": ["TST"] * 2, "tail": ["A", "B"], "pack": [1, 1]}).cast({"pack": pl.Int32})
@@ -191,7 +231,8 @@ PACKS = PACKS.with_columns(component=pl.lit("PMP"), parameter=pl.lit("pmp_loss")
 IDS = [["a0", "a1", "a2", "a3"], ["b0", "b1"]]
 
 
-@pytest.mark.parametrize(
+STATE = start(Settings(0.0, 0.01, 0.05))
+each_night = pytest.mark.parametrize(
     ("segments", "now", "begin"),
     [
         ([1, 2, 3], IDS, [2, 0]), ([1, 2], IDS, [1, 0]), ([1], IDS, [0, 0]), ([1, 3], IDS, [0, 0]),
@@ -200,20 +241,40 @@ IDS = [["a0", "a1", "a2", "a3"], ["b0", "b1"]]
         ([1, 2, 3], [["a0", "x", "y", "z"], ["b0"]], [0, 0]),
     ],
 )  # fmt: skip
+
+
+def stored_rows(segments: list[int]) -> pl.DataFrame:
+    """Checkpoints of the first pack after these segments, beside that of its start."""
+    return checkpoint_rows(PACKS, IDS, read_checkpoints(None, PACKS, IDS), {(0, c): STATE for c in [0, *segments]})
+
+
+@each_night
 def test_night_resumes_before_last_segment(segments, now, begin):
-    state = start(Settings(0.0, 0.01, 0.05))
-    stored = checkpoint_rows(PACKS, IDS, read_checkpoints(None, PACKS, IDS), {(0, c): state for c in [0, *segments]})
-    assert stored["chapter"].unique().sort().to_list() == segments
-    others = read_checkpoints(stored, PACKS.with_columns(parameter=pl.lit("pmp_leak")), now)
-    assert (others.begin.tolist(), others.valid.height) == ([0, 0], 0)
-    result = read_checkpoints(stored, PACKS, now)
+    """The last that stands, and not before what is stored."""
+    result = read_checkpoints(stored_rows(segments), PACKS, now)
     assert result.begin.tolist() == begin
     assert list(result.checkpoints) == ([(0, begin[0])] if begin[0] else [])
     for one in result.checkpoints.values():
         for name in ("log_weight", "mean", "cov", "pace", "since", "unlogged", "faulty"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(state, name))
-    again = checkpoint_rows(PACKS, now, result, {(0, 2): state._replace(mean=state.mean + 1.0), (1, 0): state})
+            np.testing.assert_array_equal(getattr(one, name), getattr(STATE, name))
+
+
+@each_night
+def test_start_is_not_stored(segments, now, begin):
+    assert stored_rows(segments)["chapter"].unique().sort().to_list() == segments
+
+
+@each_night
+def test_other_parameter_begins_anew(segments, now, begin):
+    others = read_checkpoints(stored_rows(segments), PACKS.with_columns(parameter=pl.lit("pmp_leak")), now)
+    assert (others.begin.tolist(), others.valid.height) == ([0, 0], 0)
+
+
+@each_night
+def test_new_checkpoints_join_valid_ones(segments, now, begin):
+    result = read_checkpoints(stored_rows(segments), PACKS, now)
+    again = checkpoint_rows(PACKS, now, result, {(0, 2): STATE._replace(mean=STATE.mean + 1.0), (1, 0): STATE})
     expected = sorted({c for c in segments if now[0][c] == IDS[0][c]} | {2})
     assert again["chapter"].unique().sort().to_list() == expected
     assert again.filter(chapter=2)["seen"].unique().to_list() == [now[0][2]]
-    assert again.filter(chapter=2).height == len(state.pack)
+    assert again.filter(chapter=2).height == len(STATE.pack)

@@ -63,32 +63,55 @@ def test_first_flight_weighs_every_hypothesis(name):
     assert (row["component"], row["unit"], row["estimator"]) == ("CC", "-", "nls, filtered")
 
 
-@pytest.mark.parametrize("name", LOSSES)
-def test_recovers_known_loss(name):
-    """Of ten per cent over a hundred flights; the log names another machine then."""
-    truth = np.r_[np.zeros(40), np.linspace(0.0, 0.1, 100), np.zeros(60)]
+LOSS = np.r_[np.zeros(40), np.linspace(0.0, 0.1, 100), np.zeros(60)]
+"""Ten per cent over a hundred flights; the log names another machine then."""
+
+
+@pytest.fixture(scope="module", params=LOSSES)
+def tracks(request) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Filtered and smoothed track of a known loss."""
     rng = np.random.default_rng(5)
-    noisy = 1.0 - (1.0 - truth) * np.exp(LOSSES[name][-1] * rng.standard_normal(200))
+    noisy = 1.0 - (1.0 - LOSS) * np.exp(LOSSES[request.param][-1] * rng.standard_normal(200))
     rows = track(machines(noisy), log(("T-1", 1, "CC", "REPLACED", 139)))
-    filtered = parameter(rows, name)
-    smoothed = parameter(rows, f"{name}_smoothed")
-    error = filtered["value"].to_numpy() - truth
+    return parameter(rows, request.param), parameter(rows, f"{request.param}_smoothed")
+
+
+def test_recovers_known_loss(tracks):
+    filtered, _ = tracks
+    error = filtered["value"].to_numpy() - LOSS
     assert np.abs(error[[39, 139, 199]]).max() < 0.02
     assert (np.abs(error) < 1.645 * filtered["sd"].to_numpy()).mean() > 0.9
-    rough, smooth = (np.diff(rows["value"].to_numpy() - truth)[:138].std() for rows in (filtered, smoothed))
+
+
+def test_smoothing_calms_the_loss(tracks):
+    rough, smooth = (np.diff(rows["value"].to_numpy() - LOSS)[:138].std() for rows in tracks)
     assert smooth < 0.5 * rough
-    assert smoothed["estimator"].unique().to_list() == ["nls, smoothed"]
-    assert abs(filtered["value"][140]) < 0.02
+    assert tracks[1]["estimator"].unique().to_list() == ["nls, smoothed"]
 
 
-def test_later_flights_change_no_loss():
-    rng = np.random.default_rng(6)
-    loss = np.linspace(0.0, 0.05, 120) + 0.006 * rng.standard_normal(120)
-    for end in (30, 50, 70, 101):
-        early, whole = (track(machines(values), log()) for values in (loss[:end], loss))
-        for name in LOSSES:
-            assert parameter(early, name).equals(parameter(whole, name).head(end))
-    # A quarter of a per cent by the probes, and the error of a median of so many samples of 0.3 %.
+def test_new_machine_has_no_loss(tracks):
+    assert abs(tracks[0]["value"][140]) < 0.02
+
+
+@pytest.fixture(scope="module")
+def losses() -> np.ndarray:
+    return np.linspace(0.0, 0.05, 120) + 0.006 * np.random.default_rng(6).standard_normal(120)
+
+
+@pytest.fixture(scope="module")
+def whole(losses) -> pl.DataFrame:
+    return track(machines(losses), log())
+
+
+@pytest.mark.parametrize("end", [30, 50, 70, 101])
+def test_later_flights_change_no_loss(losses, whole, end):
+    early = track(machines(losses[:end]), log())
+    for name in LOSSES:
+        assert parameter(early, name).equals(parameter(whole, name).head(end))
+
+
+def test_diameter_is_the_flights_own():
+    """A quarter of a per cent by the probes, and the error of a median of so many samples of 0.3 %."""
     twin = flights(
         3, efficiency=0.8, diameter_m=0.16, expected_diameter_m=0.17, cc_status=None, cc_n_samples=[0, 1, 30]
     )
@@ -100,23 +123,27 @@ def test_later_flights_change_no_loss():
     assert rows.select("unit", "estimator").unique().rows() == [("m", "nls")]
 
 
-def test_scatter_follows_earlier_segments():
+EARLY = 1.4826 * 0.02 / 2**0.5
+LATE = 1.4826 * 0.06 / 2**0.5
+
+
+@pytest.mark.parametrize(
+    ("usual_sd", "own_sd", "expected"),
+    [
+        (0.006, 0.0, [0.006, EARLY, LATE]),
+        (None, 0.0, [EARLY, EARLY, LATE]),
+        (None, 0.01, [np.sqrt(s**2 - 0.01**2) for s in (EARLY, EARLY, LATE)]),
+    ],
+)
+def test_scatter_follows_earlier_segments(usual_sd, own_sd, expected):
     """The usual scatter for fifty flights, then that of all steps before the segment: none of its own or later.
 
     Without a usual one the first fifty have their own.
     """
     ratio = np.r_[np.tile([0.0, 0.02], 25), np.tile([0.0, 0.06], 35)]
     ratio[1:40:3] = np.nan
-    early = 1.4826 * 0.02 / 2**0.5
-    late = 1.4826 * 0.06 / 2**0.5
-    noise = 0.01
-    for usual_sd, own_sd, expected in (
-        (0.006, 0.0, [0.006, early, late]),
-        (None, 0.0, [early, early, late]),
-        (None, noise, [np.sqrt(s**2 - noise**2) for s in (early, early, late)]),
-    ):
-        scatter = scatter_by_segment(flights(120), ratio, np.full(120, own_sd**2), usual_sd)
-        np.testing.assert_allclose(scatter, np.repeat(expected, [50, 50, 20]), rtol=1e-4)
+    scatter = scatter_by_segment(flights(120), ratio, np.full(120, own_sd**2), usual_sd)
+    np.testing.assert_allclose(scatter, np.repeat(expected, [50, 50, 20]), rtol=1e-4)
 
 
 @pytest.fixture
@@ -143,20 +170,30 @@ def test_loss_begins_with_first_reading(machine, loss):
 
 def test_packs_are_filtered_separately(machine):
     two = pl.concat([machine, machine.with_columns(pack=pl.lit(2, pl.Int32))])
-    both = track(two, log())
-    alone = track(machine, log())
+    both, alone = (track(rows, log()) for rows in (two, machine))
     assert both.height == 2 * alone.height
     for name in LOSSES:
         assert parameter(both.filter(pack=2), name).drop("pack").equals(parameter(alone, name).drop("pack"))
-    assert track(two.clear(), log()).is_empty()
+
+
+def test_no_flights_give_no_rows(machine):
+    assert track(machine.clear(), log()).is_empty()
+
+
+def test_exchanger_replacement_leaves_compressor(machine):
     with_log, without = (track(machine, entries) for entries in (log(("T-1", 1, "HX", "REPLACED", 9)), log()))
     assert with_log.equals(without)
 
 
 def test_impossible_reading_is_missing(machine):
-    odd = machine.with_columns(pl.when(pl.int_range(12) == 4).then(-1.0).otherwise("efficiency").alias("efficiency"))
-    blank = odd.with_columns(pl.when(pl.col("efficiency") > 0).then("efficiency").alias("efficiency"))
+    odd, blank = (
+        machine.with_columns(efficiency=pl.when(pl.int_range(12) == 4).then(value).otherwise("efficiency"))
+        for value in (-1.0, None)
+    )
     assert track(odd, log()).equals(track(blank, log()))
+
+
+def test_unrecorded_efficiency_has_no_loss(machine):
     never = track(machine.with_columns(efficiency=pl.lit(None, pl.Float64)), log())
     rows = parameter(never, "cc_efficiency_loss")
     assert rows["status"].unique().to_list() == ["not_recorded"]

@@ -33,42 +33,81 @@ def build_panel(flights: pl.DataFrame, faults: Corrections, maintenance: pl.Data
     return lay_out(flights, exchanger_loss(flights, faults, DSM).observations, maintenance, HX.code)
 
 
-def test_panel_removes_sensor_error(twin_flights, faults):
-    panel = build_panel(twin_flights, faults, log(("T-1", 1, "HX", "REPLACED", 1), ("T-1", 1, "CC", "CLEANED", 0)))
+@pytest.fixture
+def panel(twin_flights, faults) -> FlightPanel:
+    """Of the flights and a log of a replacement and a wash of another component."""
+    return build_panel(twin_flights, faults, log(("T-1", 1, "HX", "REPLACED", 1), ("T-1", 1, "CC", "CLEANED", 0)))
+
+
+def test_panel_lays_packs_side_by_side(panel):
     assert panel.row.tolist() == [[0, 3], [1, -1], [2, -1]]
     assert panel.n_rows == 4
     assert panel.flights.tolist() == [3, 1]
+
+
+def test_panel_removes_sensor_error(panel):
     observations = panel.observations
     np.testing.assert_allclose(observations.ratio, [[0.01, 0.01], [np.nan] * 2, [-0.05, np.nan]])
     # a flight's own noise, that of flights about the pack's health, and the correction's
     own = 0.004**2 + 0.015**2
     np.testing.assert_allclose(observations.variance, [[own, own], [1.0, 1.0], [0.003**2 + 0.015**2 + 1e-4, 1.0]])
     np.testing.assert_allclose(observations.exposure, [[1.1, 1.1], [1.0, 1.0], [0.9, 1.0]])
-    assert observations.log_open[:, 0].tolist() == [0, 2, 2]
-    assert observations.log_due[:, 0].tolist() == [0, 0, 2]
-    assert observations.log_kept[:, 0].tolist() == [0, 1, 1]
-    assert observations.log_kept[:, 1].tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "pack", "expected"),
+    [
+        ("log_open", 0, [0, 2, 2]),
+        ("log_due", 0, [0, 0, 2]),
+        ("log_kept", 0, [0, 1, 1]),
+        ("log_kept", 1, [0, 0, 0]),
+    ],
+)
+def test_panel_follows_the_log(panel, name, pack, expected):
+    assert getattr(panel.observations, name)[:, pack].tolist() == expected
+
+
+def test_panel_gives_single_cells(panel):
     one = panel.observations.of((np.array([2, 0]), np.array([0, 1])))
     np.testing.assert_allclose(one.ratio, [-0.05, 0.01])
 
 
-def test_fingerprints_show_changed_flights(twin_flights, faults):
-    def prints(frame: pl.DataFrame, seal: str = "s", beside: float = 0.0) -> list[list[str]]:
+@pytest.fixture
+def prints(faults):
+    """Fingerprints of flights by packs, with a seal and a column beside."""
+
+    def take_prints(frame: pl.DataFrame, seal: str = "s", beside: float = 0.0) -> list[list[str]]:
         panel = build_panel(frame, faults, log())
         return fingerprints(panel, [np.full(4, beside)], frame["flight_id"].to_list(), seal, 2)
 
+    return take_prints
+
+
+def test_fingerprints_stay_with_flights(twin_flights, prints):
     here = prints(twin_flights)
     assert [len(own) for own in here] == [2, 1]
     assert here == prints(twin_flights)
+
+
+def test_last_flight_leaves_fingerprints(twin_flights, prints):
+    """It lies behind the last full segment."""
     worn = pl.when(pl.col("ln_ua_ratio") < 0).then(-0.2).otherwise("ln_ua_ratio")
-    last = twin_flights.with_columns(worn.alias("ln_ua_ratio"))
-    assert prints(last) == here  # the last flight lies behind the last full segment
-    first = twin_flights.with_columns(pl.col("ln_ua_ratio").fill_null(0.3))
-    renamed = twin_flights.with_columns(pl.col("flight_id") + "x")
-    for other in (prints(first), prints(renamed), prints(twin_flights, beside=1.0)):
-        assert other[0][0] == here[0][0]
-        assert other[0][1] != here[0][1]
-    assert prints(twin_flights, "t")[0][0] != here[0][0]
+    assert prints(twin_flights.with_columns(worn.alias("ln_ua_ratio"))) == prints(twin_flights)
+
+
+@pytest.mark.parametrize(
+    ("change", "beside"),
+    [(pl.col("ln_ua_ratio").fill_null(0.3), 0.0), (pl.col("flight_id") + "x", 0.0), (pl.col("flight_id"), 1.0)],
+    ids=["ratio", "name", "beside"],
+)
+def test_fingerprints_show_changed_flights(twin_flights, prints, change, beside):
+    here = prints(twin_flights)
+    other = prints(twin_flights.with_columns(change), beside=beside)
+    assert [other[0][k] == here[0][k] for k in (0, 1)] == [True, False]
+
+
+def test_fingerprints_show_another_seal(twin_flights, prints):
+    assert prints(twin_flights, "t")[0][0] != prints(twin_flights)[0][0]
 
 
 def test_loss_deviation_adds_all_sources(twin_flights, faults):

@@ -12,7 +12,7 @@ from hdt_core.tables.twin import TwinFlights
 from hdt_core.tracking import segments
 from hdt_core.tracking.loss_filter import TrackResult
 from hdt_core.tracking.multiple_model_filter import start
-from hdt_core.tracking.segments import FlightPanel, _merge_branches, filter_segments
+from hdt_core.tracking.segments import FlightPanel, SegmentResult, _merge_branches, filter_segments
 from hdt_core.tracking.track import track
 from hdt_core.tracking.wear_model import Observation, Settings
 
@@ -56,10 +56,13 @@ def test_late_flight_changes_later_ones(three, log, model, whole):
     without = three.filter(~((pl.col("tail") == "S-0") & pl.col("flight_id").is_in([three["flight_id"][222]])))
     assert without.height == three.height - 1
     assert same(track(three, log, model, track(without, log, model)), whole)
-    for (tail,), own in three.group_by("tail"):
-        alone = track(own, log, model)
-        assert alone.health.equals(whole.health.filter(tail=tail))
-        assert alone.checkpoints.equals(whole.checkpoints.filter(tail=tail))
+
+
+@pytest.mark.parametrize("tail", ["S-0", "S-1", "S-2"])
+def test_pack_is_tracked_as_alone(three, log, model, whole, tail):
+    alone = track(three.filter(tail=tail), log, model)
+    assert alone.health.equals(whole.health.filter(tail=tail))
+    assert alone.checkpoints.equals(whole.checkpoints.filter(tail=tail))
 
 
 def test_late_entry_counts(three, log, model, whole):
@@ -95,12 +98,17 @@ def test_smoothed_value_becomes_final(three, log, model, whole):
     assert then.equals(now)
 
 
-def test_changed_checkpoint_is_discarded(three, log, model, whole):
-    """Another code, rows lost, checkpoints lost: the filter begins where it must."""
+def test_other_code_discards_checkpoints(three, log, model, whole):
     other = track(three, log, model, whole._replace(health=whole.health.with_columns(value=0.0)), seal="2")
     assert other.health.equals(whole.health)
+
+
+def test_lost_rows_discard_checkpoints(three, log, model, whole):
     incomplete = whole._replace(health=whole.health.filter(pl.col("flight_id") != whole.health["flight_id"][40]))
     assert same(track(three, log, model, incomplete), whole)
+
+
+def test_lost_checkpoints_are_filtered_anew(three, log, model, whole):
     torn = whole._replace(checkpoints=whole.checkpoints.filter(pl.col("chapter") != 2))
     assert track(three, log, model, torn).health.equals(whole.health)
 
@@ -120,37 +128,47 @@ def panel(first: np.ndarray, second: np.ndarray) -> FlightPanel:
 
 
 @pytest.fixture(scope="module")
-def flown() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ratios() -> tuple[np.ndarray, np.ndarray]:
+    """Of two packs."""
     rng = np.random.default_rng(1)
     first, second = (0.01 * rng.standard_normal(n) - 0.001 * np.arange(n) for n in (112, 56))
-    return first, second, filter_segments(panel(first, second), SETTINGS, NONE, {}).tracks
+    return first, second
 
 
-def test_smoothing_looks_one_segment_ahead(flown):
-    first, second, tracks = flown
-    assert tracks.shape == (4, 168)
-    assert np.isfinite(tracks).all()
-    for changed, from_flight in ((99, 50), (100, 100)):  # flight 99 is known from 0 on, flight 100 from 50 on
-        other = first.copy()
-        other[changed] += 0.05
-        changed_tracks = filter_segments(panel(other, second), SETTINGS, NONE, {}).tracks
-        assert np.flatnonzero(np.any(changed_tracks[:2] != tracks[:2], axis=0)).tolist() == list(range(changed, 112))
-        smoothed = np.flatnonzero(np.any(changed_tracks[2:] != tracks[2:], axis=0))
-        assert smoothed.min() == (0 if from_flight == 50 else 50)
-        assert smoothed.max() == 111
-    np.testing.assert_allclose(tracks[2:, [111, 167]], tracks[:2, [111, 167]])  # nothing follows the last
+@pytest.fixture(scope="module")
+def single_pass(ratios) -> SegmentResult:
+    """Filtered in one pass."""
+    return filter_segments(panel(*ratios), SETTINGS, NONE, {})
+
+
+def test_every_flight_is_smoothed(single_pass):
+    assert single_pass.tracks.shape == (4, 168)
+    assert np.isfinite(single_pass.tracks).all()
+    np.testing.assert_allclose(
+        single_pass.tracks[2:, [111, 167]], single_pass.tracks[:2, [111, 167]]
+    )  # nothing follows the last
+
+
+@pytest.mark.parametrize(("changed", "first_known"), [(99, 0), (100, 50)])
+def test_smoothing_looks_one_segment_ahead(ratios, single_pass, changed, first_known):
+    first, second = ratios
+    other = first + 0.05 * (np.arange(112) == changed)
+    is_other = filter_segments(panel(other, second), SETTINGS, NONE, {}).tracks != single_pass.tracks
+    assert np.flatnonzero(is_other[:2].any(axis=0)).tolist() == list(range(changed, 112))
+    smoothed = np.flatnonzero(is_other[2:].any(axis=0))
+    assert (smoothed.min(), smoothed.max()) == (first_known, 111)
+
+
+def test_pass_leaves_checkpoints(single_pass):
+    assert sorted(single_pass.checkpoints) == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
 
 
 @pytest.mark.parametrize("segment", [1, 2])
-def test_checkpoint_continues_the_pass(flown, segment):
+def test_checkpoint_continues_the_pass(ratios, single_pass, segment):
     """Beside a pack that begins anew, which may have the more flights to come."""
-    first, second, tracks = flown
-    whole = filter_segments(panel(first, second), SETTINGS, NONE, {})
-    assert sorted(whole.checkpoints) == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
-    begin = np.array([segment, 0])
-    later = filter_segments(panel(first, second), SETTINGS, begin, whole.checkpoints).tracks
+    later = filter_segments(panel(*ratios), SETTINGS, np.array([segment, 0]), single_pass.checkpoints).tracks
     assert np.isnan(later[:, : 50 * segment]).all()
-    np.testing.assert_allclose(later[:, 50 * segment :], tracks[:, 50 * segment :], rtol=1e-12)
+    np.testing.assert_allclose(later[:, 50 * segment :], single_pass.tracks[:, 50 * segment :], rtol=1e-12)
 
 
 def test_sibling_branches_merge_by_moments():

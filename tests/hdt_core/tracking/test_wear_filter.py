@@ -239,22 +239,28 @@ def test_smoother_equals_every_path(flown):
 
 
 def test_start_spans_every_hypothesis():
+    """Every pace and every wear at entry."""
     states = start(SETTINGS)
     assert states.pack.tolist() == [0] * 12
     shares = [p[0] * e[0] for p in PACES for e in ENTRY]
     np.testing.assert_allclose(np.exp(states.log_weight), shares)
     np.testing.assert_allclose(states.mean[:, :2], [(e[1], p[1]) for p in PACES for e in ENTRY])
     assert not states.mean[:, 2:].any()
-    # of the offset 0.05 the unit has 0.04, the sensors the rest, 0.03; the level's own error lies on the sensors too
-    rest = (0.03**2 + 0.01**2, 0.04**2, 0.005**2)
-    for k, cov in enumerate(states.cov):
-        p = PACES[k // 4]
-        e = ENTRY[k % 4]
-        np.testing.assert_allclose(cov, np.diag([e[2] ** 2, p[2] ** 2, *rest]))
     assert states.pace.tolist() == [0] * 4 + [1] * 4 + [2] * 4
+    assert {len(column) for column in states} == {12}
+
+
+def test_start_covariance_by_hand():
+    """Of the offset 0.05 the unit has 0.04, the sensors the rest, 0.03, and the level's own error."""
+    rest = (0.03**2 + 0.01**2, 0.04**2, 0.005**2)
+    expected = [np.diag([e[2] ** 2, p[2] ** 2, *rest]) for p in PACES for e in ENTRY]
+    np.testing.assert_allclose(start(SETTINGS).cov, expected)
+
+
+def test_start_has_no_event_behind():
+    states = start(SETTINGS)
     assert (states.since[:4] == [0, 10**6, 10**6, 10**6]).all()
     assert not (states.faulty | states.unlogged).any()
-    assert {len(column) for column in states} == {12}
 
 
 def test_wear_is_never_negative():
@@ -262,8 +268,13 @@ def test_wear_is_never_negative():
     below = flat(first(1))._replace(mean=np.array([[-1.0, 0, 0, 0, 0]]), cov=np.diag([1e-4] * 5)[None])
     mean, sd = (v[0] for v in wear_summary(below, 1))
     assert (mean, sd) == pytest.approx((0.01 / 30, 0.01 / 30), rel=0.05)
-    assert Settings(0.0, 0.02, 0.041).sensors_sd == pytest.approx(np.hypot(0.015, 0.02))
-    assert Settings(0.0, 0.0, 0.05).sensors_sd == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("level_sd", "offset_sd", "sensors_sd"), [(0.02, 0.041, np.hypot(0.015, 0.02)), (0.0, 0.05, 0.03)]
+)
+def test_sensors_keep_their_own_spread(level_sd, offset_sd, sensors_sd):
+    assert Settings(0.0, level_sd, offset_sd).sensors_sd == pytest.approx(sensors_sd)
 
 
 def some(weights: list[float], wear: list[float], pack: list[int] | None = None, **changes: Any) -> Hypotheses:
@@ -281,20 +292,28 @@ def test_like_hypotheses_are_merged():
     assert after.mean[0, 0] == pytest.approx((0.5 * 0.1 + 0.3 * 0.104) / 0.8)
     assert after.cov[0, 0, 0] == pytest.approx(1e-4 + 0.5 * 0.3 / 0.8**2 * 0.004**2)
     assert after.since.tolist() == [0, 2, 3]
+
+
+def test_light_hypotheses_are_dropped():
     after, into = prune(some([1.0 - 1e-6, 0.999e-6, 1.001e-6], [0.0, 0.05, 0.1]))
     assert into.tolist() == [0, -1, 1]
     assert np.exp(after.log_weight).sum() == pytest.approx(1.0)
-    weights = np.r_[np.arange(1.0, 46.0), 7.0]
-    weights[:45] /= weights[:45].sum()
-    after, into = prune(some([*weights[:45], 1.0], [*(0.02 * np.arange(45)), 0.0], [0] * 45 + [1]))
+
+
+def test_forty_hypotheses_of_pack_remain():
+    weights = np.arange(1.0, 46.0) / np.arange(1.0, 46.0).sum()
+    after, into = prune(some([*weights, 1.0], [*(0.02 * np.arange(45)), 0.0], [0] * 45 + [1]))
     assert after.pack.tolist() == [0] * 40 + [1]
     assert into.tolist() == [-1] * 5 + list(range(39, -1, -1)) + [40]
-    np.testing.assert_allclose(np.exp(after.log_weight[:40]), weights[44:4:-1] / weights[5:45].sum())
+    np.testing.assert_allclose(np.exp(after.log_weight[:40]), weights[44:4:-1] / weights[5:].sum())
 
 
 def test_weights_sum_to_one_per_pack():
     weights = np.exp(normalise(some([2.0, 6.0, 5.0], [0.0] * 3, [0, 0, 1])).log_weight)
     np.testing.assert_allclose(weights, [0.25, 0.75, 1.0])
+
+
+def test_packs_join_side_by_side():
     many = join([some([1.0], [0.1]), some([0.5, 0.5], [0.2, 0.3], [1, 1])])
     assert many.n_packs == 2
     assert many.of(1).mean[:, 0].tolist() == [0.2, 0.3]
