@@ -36,22 +36,40 @@ from hdt_core.prognosis.recalibrate import HazardCorrection, learn_correction, l
 SPAN_ENDS = [5, 10, 15, 20, 30, 40, 50, 65, 80, 100, 125, 150, 175, 200, 250, 300]
 
 
-def test_quantiles_are_linear_between_edges():
+def test_edges_are_declared():
     assert EDGES.tolist() == [0, *SPAN_ENDS]
-    hazard = np.full((1, SPANS), 0.1)
-    np.testing.assert_allclose(event_by(hazard)[0], 1.0 - 0.9 ** np.arange(SPANS + 1))
+
+
+def test_hazards_add_up_to_chances():
+    np.testing.assert_allclose(event_by(np.full((1, SPANS), 0.1))[0], 1.0 - 0.9 ** np.arange(SPANS + 1))
+
+
+def test_rows_take_their_span_along():
     np.testing.assert_allclose(with_span(np.array([[7.0]]), np.array([2])), [[7.0, 15.0]])
-    by = np.array([[0.0, 0.2, 0.4, *[0.8] * 14]])
-    assert quantile(by, 0.1)[0] == pytest.approx(2.5, rel=1e-6)
-    assert quantile(by, 0.3)[0] == pytest.approx(7.5, rel=1e-6)
-    assert quantile(by, 0.9)[0] == 300.0
-    assert quantile(np.zeros((1, 17)) + 0.5, 0.1)[0] == 0.0
-    for left, at in ((0.0, 0.0), (2.5, 0.1), (5.0, 0.2), (7.5, 0.3), (12.5, 0.6), (400.0, 0.8)):
-        assert position(by, np.array([left]))[0] == pytest.approx(at)
+
+
+BY = np.array([[0.0, 0.2, 0.4, *[0.8] * 14]])
+
+
+@pytest.mark.parametrize(("level", "flights"), [(0.1, 2.5), (0.3, 7.5)])
+def test_quantiles_are_linear_between_edges(level, flights):
+    assert quantile(BY, level)[0] == pytest.approx(flights, rel=1e-6)
+
+
+@pytest.mark.parametrize(("by", "level", "flights"), [(BY, 0.9, 300.0), (np.full((1, 17), 0.5), 0.1, 0.0)])
+def test_quantiles_end_with_the_scale(by, level, flights):
+    assert quantile(by, level)[0] == flights
+
+
+@pytest.mark.parametrize(("left", "at"), [(0.0, 0.0), (2.5, 0.1), (5.0, 0.2), (7.5, 0.3), (12.5, 0.6), (400.0, 0.8)])
+def test_positions_are_linear_between_edges(left, at):
+    assert position(BY, np.array([left]))[0] == pytest.approx(at)
+
+
+def test_positions_invert_quantiles():
     by = event_by(np.random.default_rng(0).uniform(0.01, 0.4, (50, SPANS)))
-    at = quantile(by, 0.3)
     inside = by[:, -1] > 0.3
-    np.testing.assert_allclose(position(by, at)[inside], 0.3, atol=1e-6)
+    np.testing.assert_allclose(position(by, quantile(by, 0.3))[inside], 0.3, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -82,14 +100,23 @@ def learned():
     return [fit_hazard(features, left, np.ones(800, bool), seed, rises=(1, 0)) for seed in (0, 1)]
 
 
+GRID = np.column_stack([np.linspace(-1, 1, 21), np.zeros(21)])
+
+
 def test_hazards_average_the_learners(learned):
-    grid = np.column_stack([np.linspace(-1, 1, 21), np.zeros(21)])
-    each = [hazards([m], grid) for m in learned]
-    np.testing.assert_allclose(hazards(learned, grid), (each[0] + each[1]) / 2.0)
-    assert (np.diff(each[0], axis=0) >= 0.0).all()
-    assert (each[0][-1] > 1.5 * each[0][0]).all()
-    assert np.abs(each[0] - each[1]).max() > 0.0
-    # Small trees, many rows a leaf, no early stop: chosen on simulated fleets, so a change wants them flown again.
+    one, other = (hazards([m], GRID) for m in learned)
+    np.testing.assert_allclose(hazards(learned, GRID), (one + other) / 2.0)
+    assert np.abs(one - other).max() > 0.0
+
+
+def test_hazards_rise_as_declared(learned):
+    hazard = hazards(learned[:1], GRID)
+    assert (np.diff(hazard, axis=0) >= 0.0).all()
+    assert (hazard[-1] > 1.5 * hazard[0]).all()
+
+
+def test_learners_are_as_declared(learned):
+    """Small trees, many rows a leaf, no early stop: chosen on simulated fleets, so a change wants them flown again."""
     chosen = {
         "max_iter": 150, "learning_rate": 0.08, "max_leaf_nodes": 12, "min_samples_leaf": 400, "max_features": 0.4,
         "l2_regularization": 1.0, "early_stopping": False, "monotonic_cst": [1, 0, 0], "random_state": 1,
@@ -99,34 +126,51 @@ def test_hazards_average_the_learners(learned):
     assert learned[1].n_features_in_ == 3
 
 
+PRIOR = Limit(0.25, 0.06, 0.05)
+
+
+def test_prior_limit_is_declared():
+    assert PRIOR_RULES["CC"] == PRIOR
+
+
 def test_limit_is_robust_normal_posterior():
-    """Losses of 0.2, 0.22 and one far off at 0.5, units 0.05 apart; the prior is 0.25 +- 0.06."""
-    prior = Limit(0.25, 0.06, 0.05)
-    assert PRIOR_RULES["CC"] == prior
-    levels = np.array([0.20, 0.22, np.nan, 0.5])
+    """With Huber's weights: losses of 0.2, 0.22 and one far off at 0.5, units 0.05 apart."""
     middle = (0.22 + 0.25) / 2.0
     weight = np.array([1.0, 1.0, 1.5 * 0.05 / (0.5 - middle)])
     precision = 1.0 / 0.06**2 + weight.sum() / 0.05**2
-    limit = learn_limit(levels, prior)
+    limit = learn_limit(np.array([0.20, 0.22, np.nan, 0.5]), PRIOR)
     assert limit.mean == pytest.approx((0.25 / 0.06**2 + weight @ [0.20, 0.22, 0.5] / 0.05**2) / precision)
     assert limit.sd == pytest.approx(precision**-0.5)
     assert limit.unit_sd == 0.05
-    assert learn_limit(np.array([np.nan]), prior) == prior
+
+
+def test_limit_without_losses_is_prior():
+    assert learn_limit(np.array([np.nan]), PRIOR) == PRIOR
+
+
+LIMIT = (np.array([0.25]), np.array([0.06]))
+LOSS_RATE = [np.array([v]) for v in (0.1, 0.02, 1e-3, 4e-4)]
+"""A unit's loss and rate, each with its deviation."""
 
 
 def test_first_passage_equals_monte_carlo():
-    """Plain Monte Carlo: loss, rate and limit normal; a unit known to fly has its limit above what it has lost."""
+    """Loss, rate and limit normal."""
     rng = np.random.default_rng(1)
-    n = 100_000
-    loss, rate, limit = (m + s * rng.standard_normal(n) for m, s in ((0.1, 0.02), (1e-3, 4e-4), (0.25, 0.06)))
-    passed = loss + rate * EDGES[:, None] > limit
-    args = [np.array([v]) for v in (0.1, 0.02, 1e-3, 4e-4)]
-    p_event = first_passage(*args, (np.array([0.25]), np.array([0.06])), np.array([False]))
-    np.testing.assert_allclose(p_event[0], passed.mean(1), atol=0.006)
-    alive = first_passage(*args, (np.array([0.25]), np.array([0.06])), np.array([True]))[0]
-    np.testing.assert_allclose(alive, (p_event[0] - p_event[0, 0]) / (1.0 - p_event[0, 0]), rtol=1e-12)
-    still = first_passage(*args[:2], -args[2], 0.0 * args[3], (np.array([0.25]), np.array([0.06])), np.array([False]))
-    np.testing.assert_allclose(still, p_event[0, 0])
+    loss, rate, limit = (m + s * rng.standard_normal(100_000) for m, s in ((0.1, 0.02), (1e-3, 4e-4), (0.25, 0.06)))
+    crossed = loss + rate * EDGES[:, None] > limit
+    np.testing.assert_allclose(first_passage(*LOSS_RATE, LIMIT, np.array([False]))[0], crossed.mean(1), atol=0.006)
+
+
+def test_flying_unit_has_not_failed():
+    """Its limit lies above what it has lost."""
+    anyone, alive = (first_passage(*LOSS_RATE, LIMIT, np.array([flies]))[0] for flies in (False, True))
+    np.testing.assert_allclose(alive, (anyone - anyone[0]) / (1.0 - anyone[0]), rtol=1e-12)
+
+
+def test_healing_unit_keeps_its_chance():
+    loss, loss_sd, rate, rate_sd = LOSS_RATE
+    still = first_passage(loss, loss_sd, -rate, 0.0 * rate_sd, LIMIT, np.array([False]))
+    np.testing.assert_allclose(still, first_passage(*LOSS_RATE, LIMIT, np.array([False]))[0, 0])
 
 
 def terms(end: np.ndarray, reserve: float, odds: np.ndarray) -> np.ndarray:
@@ -182,67 +226,101 @@ def test_correction_maximises_posterior():
     np.testing.assert_allclose(learn_correction(hazard, reserve, left, failed, life).weights, want, atol=2e-4)
 
 
-def test_levels_equal_kaplan_meier():
-    """Ten events spread evenly over the scale, one more life cut in the middle; twenty failed lives are the prior's."""
-    by = np.broadcast_to(np.r_[0.0, np.cumsum(np.diff(EDGES)) / 300.0], (11, SPANS + 1))
-    left = np.r_[30.0 * np.arange(1, 11), 155.0]
-    failed = np.arange(11) < 10
+EVEN_BY = np.broadcast_to(np.r_[0.0, np.cumsum(np.diff(EDGES)) / 300.0], (11, SPANS + 1))
+EVEN_LEFT = np.r_[30.0 * np.arange(1, 11), 155.0]
+EVEN_FAILED = np.arange(11) < 10
+PRIOR_LEVELS = (0.04, 0.52, 0.97)
+"""Of twenty failed lives."""
+
+
+def even_levels(left=EVEN_LEFT, failed=EVEN_FAILED, life=None):
+    """Of ten events spread evenly over the scale, one more life cut in the middle."""
+    return learn_levels(EVEN_BY, left, failed, np.arange(11) if life is None else life, prior=PRIOR_LEVELS)
+
+
+@pytest.fixture(scope="module")
+def kaplan_meier() -> np.ndarray:
+    """The levels by themselves."""
     alive = 1.0
     steps = []
-    for at in np.sort(left):
-        risk = (left >= at).sum()
-        alive *= 1.0 - (1.0 / risk if failed[left == at].any() else 0.0)
+    for at in np.sort(EVEN_LEFT):
+        risk = (at <= EVEN_LEFT).sum()
+        alive *= 1.0 - (1.0 / risk if EVEN_FAILED[at == EVEN_LEFT].any() else 0.0)
         steps.append((at / 300.0, 1.0 - alive))
-    own = [next(at for at, reached in steps if reached >= level - 1e-12) for level in (0.05, 0.5, 0.95)]
-    levels = learn_levels(by, left, failed, np.arange(11), prior=(0.04, 0.52, 0.97))
-    np.testing.assert_allclose(levels, [(10 * o + 20 * p) / 30 for o, p in zip(own, (0.04, 0.52, 0.97), strict=True)])
-    # where nearly all were cut the upper level is never reached: it is the end of the scale
-    cut = learn_levels(by, left, np.arange(11) < 3, np.arange(11), prior=(0.04, 0.52, 0.97))
-    assert cut[2] == pytest.approx((3 * 1.0 + 20 * 0.97) / 23)
-    # a life of which several rows failed is one; an event after the horizon is none
-    late = learn_levels(by, np.where(failed, left + 301.0, left), failed, np.arange(11), prior=(0.04, 0.52, 0.97))
-    assert late == (0.04, 0.52, 0.97)
-    one = learn_levels(by, left, failed, np.zeros(11, int), prior=(0.04, 0.52, 0.97))
-    np.testing.assert_allclose(one, [(o + 20 * p) / 21 for o, p in zip(own, (0.04, 0.52, 0.97), strict=True)])
+    return np.array([next(at for at, share in steps if share >= level - 1e-12) for level in (0.05, 0.5, 0.95)])
+
+
+def test_levels_equal_kaplan_meier(kaplan_meier):
+    np.testing.assert_allclose(even_levels(), (10 * kaplan_meier + 20 * np.array(PRIOR_LEVELS)) / 30)
+
+
+def test_rows_of_life_count_once(kaplan_meier):
+    levels = even_levels(life=np.zeros(11, int))
+    np.testing.assert_allclose(levels, (kaplan_meier + 20 * np.array(PRIOR_LEVELS)) / 21)
+
+
+def test_unreached_level_ends_the_scale():
+    """Where nearly all were cut."""
+    assert even_levels(failed=np.arange(11) < 3)[2] == pytest.approx((3 * 1.0 + 20 * 0.97) / 23)
+
+
+def test_event_after_horizon_is_none():
+    assert even_levels(left=np.where(EVEN_FAILED, EVEN_LEFT + 301.0, EVEN_LEFT)) == PRIOR_LEVELS
+
+
+LIVES = np.random.default_rng(0).permutation(np.arange(1.0, 401.0))
 
 
 def test_life_bounds_are_order_statistics():
     """All were watched alike: a tenth looks first, of the others' 360 the 18th from either end."""
-    lives = np.random.default_rng(0).permutation(np.arange(1.0, 401.0))
-    bounds = life_bounds(lives, np.ones(400, bool), np.full(400, 500.0))
-    rest = np.sort(np.delete(lives, np.arange(0, 400, 10)))
+    bounds = life_bounds(LIVES, np.ones(400, bool), np.full(400, 500.0))
+    rest = np.sort(np.delete(LIVES, np.arange(0, 400, 10)))
     assert (bounds.low, bounds.high) == (rest[17], rest[342])
-    # most lives are not over by the end of the record: a bound from below alone
-    short = life_bounds(np.minimum(lives, 300.0), lives < 300.0, np.full(400, 300.0))
-    rest = np.sort(np.minimum(np.delete(lives, np.arange(0, 400, 10)), 300.0))
-    assert (short.low, short.high) == (rest[35], np.inf)
-    # an upper end needs nineteen of twenty to be over, of those that look first
-    for over, two_sided in ((37, False), (38, True)):
-        late = np.where((np.arange(400) % 10 == 0) & (np.arange(400) // 10 >= over), 1000.0, lives)
-        assert np.isfinite(life_bounds(late, late < 500.0, np.full(400, 1000.0)).high) == two_sided
 
 
-@pytest.mark.parametrize(("n", "taken"), [(1000, 400), (300, 200), (40, 40)])
-def test_longest_watched_units_are_used(n, taken):
-    """Two hundred at least, two fifths of all: of 1,000 the 400 that could have been watched for longest."""
+def test_lives_beyond_record_bound_from_below():
+    """Most are not over by its end."""
+    bounds = life_bounds(np.minimum(LIVES, 300.0), LIVES < 300.0, np.full(400, 300.0))
+    rest = np.sort(np.minimum(np.delete(LIVES, np.arange(0, 400, 10)), 300.0))
+    assert (bounds.low, bounds.high) == (rest[35], np.inf)
+
+
+@pytest.mark.parametrize(("over", "two_sided"), [(37, False), (38, True)])
+def test_upper_bound_needs_ended_lives(over, two_sided):
+    """Nineteen of twenty, of those that look first."""
+    late = np.where((np.arange(400) % 10 == 0) & (np.arange(400) // 10 >= over), 1000.0, LIVES)
+    assert np.isfinite(life_bounds(late, late < 500.0, np.full(400, 1000.0)).high) == two_sided
+
+
+@pytest.mark.parametrize(("n", "n_used"), [(1000, 400), (300, 200), (40, 40)])
+def test_longest_watched_units_are_used(n, n_used):
+    """A fair sample of two hundred at least, two fifths of all: those that could have been watched for longest."""
     watched = np.arange(1.0, n + 1.0) + 1000.0
     lives = np.random.default_rng(2).uniform(0.0, 1000.0, n)
     bounds = life_bounds(lives, np.ones(n, bool), watched)
-    rest = np.sort(np.delete(lives[-taken:], np.arange(0, taken, 10)))
+    rest = np.sort(np.delete(lives[-n_used:], np.arange(0, n_used, 10)))
     first = int(np.floor(0.05 * (rest.size + 1)))
     assert bounds == (rest[first - 1] if first else 0.0, rest[rest.size - first])
+
+
+def test_life_ends_while_watched():
+    watched = np.full(40, 1000.0)
     with pytest.raises(ValueError, match="longer than its unit"):
-        life_bounds(watched + 1.0, lives < watched, watched)
+        life_bounds(watched + 1.0, np.ones(40, bool), watched)
 
 
-def test_censored_lives_are_weighed():
-    """Without any that left these are plain order statistics of the half that is not used for weights."""
+def test_uncensored_lives_are_order_statistics():
+    """Of the half that is not used for weights."""
     lives = np.random.default_rng(1).permutation(np.arange(1.0, 401.0))
     bounds = life_bounds(lives, np.ones(400, bool))
     half = np.sort(lives[1::2])
     assert bounds.low == half[int(np.floor(0.05 * 201 + 1e-9)) - 1]
     assert bounds.high == half[int(np.ceil(0.95 * 201 - 1e-9)) - 1]
-    # half of them leave at 150: whoever ends later stands for about two
+
+
+def test_censored_lives_are_weighed():
+    """Half of the units leave at 150 for other reasons: whoever ends later stands for about two."""
+    lives = np.random.default_rng(1).permutation(np.arange(1.0, 401.0))
     cut = np.where(np.arange(400) % 4 < 2, np.minimum(lives, 150.5), lives)
     weighed = life_bounds(cut, cut == lives)
     others = cut[::2]
@@ -251,41 +329,84 @@ def test_censored_lives_are_weighed():
     mass = np.cumsum(np.where(sample > 150.5, 1.0 / stay, 1.0)) / 201.0
     assert weighed.low == sample[np.flatnonzero(mass <= 0.05)[-1]]
     assert weighed.high == sample[np.flatnonzero(mass >= 0.95)[0]]
+
+
+def test_bounds_need_an_ended_life():
     with pytest.raises(ValueError, match="no life ended"):
         life_bounds([1.0, 2.0], [False, False])
 
 
-def test_hazard_is_learned_under_censoring():
+def draw_rates(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Hazards a flight, even in their logarithm."""
+    return np.exp(rng.uniform(np.log(0.003), np.log(0.03), n))
+
+
+@pytest.fixture(scope="module")
+def censored():
+    """Model of units by their ln hazard, half of them cut."""
     rng = np.random.default_rng(1)
-    rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 8000))
+    rate = draw_rates(rng, 8000)
     death = rng.exponential(1.0 / rate)
     cut = rng.uniform(0.0, 200.0, 8000)
-    model = fit_hazard(np.log(rate)[:, None], np.minimum(death, cut), death <= cut, seed=0)
-    for true_rate in (0.005, 0.01, 0.02):
-        near = np.log(true_rate) + np.linspace(-0.2, 0.2, 200)[:, None]
-        p_50 = event_by(hazards([model], near))[:, EDGES.tolist().index(50.0)].mean()
-        assert p_50 == pytest.approx(1.0 - np.exp(-true_rate * 50.0), abs=0.04)
+    return fit_hazard(np.log(rate)[:, None], np.minimum(death, cut), death <= cut, seed=0)
+
+
+@pytest.mark.parametrize("rate", [0.005, 0.01, 0.02])
+def test_hazard_is_learned_under_censoring(censored, rate):
+    near = np.log(rate) + np.linspace(-0.2, 0.2, 200)[:, None]
+    p_50 = event_by(hazards([censored], near))[:, EDGES.tolist().index(50.0)].mean()
+    assert p_50 == pytest.approx(1.0 - np.exp(-rate * 50.0), abs=0.04)
+
+
+def test_trees_answer_as_row_by_row():
+    """Asked once a cut."""
     rng = np.random.default_rng(4)
-    rate = np.exp(rng.uniform(np.log(0.003), np.log(0.03), 4000))
+    rate = draw_rates(rng, 4000)
     model = fit_hazard(np.log(rate)[:, None], rng.exponential(1.0 / rate), np.ones(4000, bool), seed=0)
     features = np.where(rng.random((500, 1)) < 0.1, np.nan, np.log(rng.choice(rate, (500, 1))))
     assert np.array_equal(_by_tree(model, features, EDGES[1:]), _row_by_row(model, features, EDGES[1:]))
 
 
-def test_interval_score_is_proper():
-    truth = np.random.default_rng(0).standard_normal(20000)
-    honest = interval_score(truth, np.full_like(truth, -1.645), np.full_like(truth, 1.645)).mean()
-    for half in (0.8, 1.2, 2.2, 3.0):
-        assert interval_score(truth, np.full_like(truth, -half), np.full_like(truth, half)).mean() > honest
-    assert constant_interval_score(truth) == pytest.approx(honest, rel=0.01)
-    y = np.array([1.0, 0.0, 0.0, 0.0])
-    assert brier_skill(y, np.full(4, 0.25)) == pytest.approx(0.0)
-    assert brier_skill(y, y) == 1.0
-    assert auc([1, 1, 0, 0], [0.9, 0.4, 0.5, 0.1]) == 0.75
-    assert auc([1, 0], [0.5, 0.5]) == 0.5
-    truth = np.array([100.0, 50.0, 10.0, 1.0])
-    forecast = np.array([150.0, 55.0, 11.0, 1.0])
-    assert alpha_lambda(truth, forecast) == 0.75
+NORMAL = np.random.default_rng(0).standard_normal(20000)
+
+
+def mean_score(half: float) -> float:
+    """Of an interval of so many deviations either side."""
+    return interval_score(NORMAL, np.full_like(NORMAL, -half), np.full_like(NORMAL, half)).mean()
+
+
+@pytest.mark.parametrize("half", [0.8, 1.2, 2.2, 3.0])
+def test_interval_score_is_proper(half):
+    assert mean_score(half) > mean_score(1.645)
+
+
+def test_constant_interval_is_honest():
+    assert constant_interval_score(NORMAL) == pytest.approx(mean_score(1.645), rel=0.01)
+
+
+EVENTS = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def test_base_rate_has_no_skill():
+    assert brier_skill(EVENTS, np.full(4, 0.25)) == pytest.approx(0.0)
+
+
+def test_perfect_forecast_has_full_skill():
+    assert brier_skill(EVENTS, EVENTS) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("events", "forecast", "area"), [([1, 1, 0, 0], [0.9, 0.4, 0.5, 0.1], 0.75), ([1, 0], [0.5, 0.5], 0.5)]
+)
+def test_auc_counts_pairs(events, forecast, area):
+    assert auc(events, forecast) == area
+
+
+def test_alpha_lambda_counts_near_forecasts():
+    assert alpha_lambda(np.array([100.0, 50.0, 10.0, 1.0]), np.array([150.0, 55.0, 11.0, 1.0])) == 0.75
+
+
+def test_true_chances_are_calibrated():
     rng = np.random.default_rng(1)
     p = rng.random(50000)
     table = calibration(rng.random(50000) < p, p)

@@ -65,25 +65,38 @@ DIGEST = TrainingDigest(
 )  # fmt: skip
 def test_one_percent_change_retrains(change, why):
     assert retraining_reason(replace(DIGEST, **change), DIGEST) == why
+
+
+def test_new_month_retrains():
     assert retraining_reason(DIGEST, None) == "the month began"
+
+
+def test_digest_survives_json():
     assert TrainingDigest(**json.loads(json.dumps(asdict(DIGEST)))) == DIGEST
 
 
 def test_added_flights_are_not_learned():
     now = replace(DIGEST, flights={"O|A|1": 903, "O|B|1": 90, "O|C|1": 5})
     assert flights_not_learned(now, DIGEST) == 8
+
+
+def test_trailing_median_ignores_later_flights():
     per_k = np.array([[np.nan, 0.1, 0.3, np.nan, 0.2], [np.nan] * 5])
     want = [LN_RATIO_PER_K, 0.1, 0.2, 0.2, 0.2]
     np.testing.assert_allclose(_trailing_median(per_k), [want, [LN_RATIO_PER_K] * 5])
+
+
+def test_interval_score_by_hand():
     assert interval_score([5.0], [6.0], [8.0], 0.5).tolist() == [2.0 + 4.0]
+
+
+def test_constant_interval_score_by_hand():
     t = np.arange(11.0)
-    low = 1.0
-    high = 9.0
-    missed = np.maximum(low - t, 0) + np.maximum(t - high, 0)
-    assert constant_interval_score(t, 0.2) == pytest.approx(np.mean((high - low) + 10 * missed))
+    missed = np.maximum(1.0 - t, 0) + np.maximum(t - 9.0, 0)
+    assert constant_interval_score(t, 0.2) == pytest.approx(np.mean(8.0 + 10 * missed))
 
 
-def flown(n: int, tail: str = "T-1", first: datetime = datetime(2024, 1, 1, 6, tzinfo=UTC), **columns) -> pl.DataFrame:
+def fly(n: int, tail: str = "T-1", first: datetime = datetime(2024, 1, 1, 6, tzinfo=UTC), **columns) -> pl.DataFrame:
     at = [first + timedelta(k) for k in range(n)]
     frame = pl.DataFrame({"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": at})
     named = frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
@@ -103,11 +116,13 @@ FEBRUARY = date(2024, 2, 1)
 MARCH = date(2024, 3, 1)
 
 
-def test_record_is_cut_at_month():
+@pytest.fixture(scope="module")
+def winter() -> FleetRecord:
+    """Two aircraft, one from February on; what came at the very beginning of that month belongs to it."""
     start = datetime(2024, 2, 1, tzinfo=UTC)
-    fleet = record(
-        flown(70, first=datetime(2024, 1, 1, tzinfo=UTC)),
-        flown(29, "T-2", start),
+    return record(
+        fly(70, first=datetime(2024, 1, 1, tzinfo=UTC)),
+        fly(29, "T-2", start),
         messages=[
             ("AAA", "T-1", 1, "T-1_010", "21-52-HXTEMP", start),
             ("BBB", "T-9", 1, "x", "y", start - timedelta(1)),
@@ -117,62 +132,120 @@ def test_record_is_cut_at_month():
             ("AAA", "T-1", 1, date(2024, 1, 13), "HX", "REPLACED", ""),
         ],
     )
-    assert fleet.months() == [date(2024, 1, 1), FEBRUARY, MARCH]
-    past = fleet.as_of(start_of(FEBRUARY))
+
+
+def test_record_lists_its_months(winter):
+    assert winter.months() == [date(2024, 1, 1), FEBRUARY, MARCH]
+
+
+def test_record_is_cut_at_month(winter):
+    past = winter.as_of(start_of(FEBRUARY))
     assert [f.height for f in (past.features, past.messages, past.maintenance)] == [31, 1, 1]
+
+
+def test_month_begins_at_midnight():
+    start = start_of(FEBRUARY)
     assert month_of(pl.Series([start - timedelta(microseconds=1), start])).to_list() == [date(2024, 1, 1), FEBRUARY]
-    digests = training_digests(fleet, "b", "d")
-    january, february, march = digests.values()
-    assert (january.tails, february.tails, march.tails) == (["T-1"], ["T-1", "T-2"], ["T-1", "T-2"])
-    assert (january.operators, february.operators, march.operators) == ([], ["BBB"], ["AAA", "BBB"])
-    assert (january.flights, february.flights) == ({}, {"AAA|T-1|1": 31})
-    assert march.flights == {"AAA|T-1|1": 60, "AAA|T-2|1": 29}
-    # the unit that left in January was followed in January, the one of 1 February by a flight of that day
-    assert [len(d.ended) for d in (january, february, march)] == [0, 1, 2]
-    assert january.base == f"b {' '.join(TERMS)}"
-    other = training_digests(replace(fleet, messages=fleet.messages.head(0)), "b", "d")[MARCH]
-    assert len(set(other.ended) ^ set(march.ended)) == 2  # whether a message ended it is part of a life's digest
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("tails", [["T-1"], ["T-1", "T-2"], ["T-1", "T-2"]]),
+        ("operators", [[], ["BBB"], ["AAA", "BBB"]]),
+        ("flights", [{}, {"AAA|T-1|1": 31}, {"AAA|T-1|1": 60, "AAA|T-2|1": 29}]),
+    ],
+)
+def test_digest_lists_the_past(winter, name, expected):
+    assert [getattr(digest, name) for digest in training_digests(winter, "b", "d").values()] == expected
+
+
+def test_digest_lists_ended_lives(winter):
+    """The unit that left in January was followed in January, the one of 1 February by a flight of that day."""
+    assert [len(digest.ended) for digest in training_digests(winter, "b", "d").values()] == [0, 1, 2]
+
+
+def test_digest_names_base_with_terms(winter):
+    assert training_digests(winter, "b", "d")[date(2024, 1, 1)].base == f"b {' '.join(TERMS)}"
+
+
+def test_message_changes_digest_of_life(winter):
+    heard, unheard = (
+        set(training_digests(replace(winter, messages=rows), "b", "d")[MARCH].ended)
+        for rows in (winter.messages, winter.messages.clear())
+    )
+    assert len(heard ^ unheard) == 2
 
 
 def scored_days(n: int, loss: list[float]):
-    rows = flown(n, hx_fouling=loss, hx_fouling_sd=0.01, hx_ln_ua_ratio=-0.1)
+    rows = fly(n, hx_fouling=loss, hx_fouling_sd=0.01, hx_ln_ua_ratio=-0.1)
     none = record(rows)
     return tracks(rows, episodes(rows, none.messages, none.maintenance), "HX")
 
 
-def test_changed_flight_rescores_later_ones():
-    calm = [0.1] * 60
-    scored, new = score_months(scored_days(60, calm), "HX", {})
+CALM = [0.1] * 60
+
+
+@pytest.fixture(scope="module")
+def first_scores() -> tuple:
+    """What is kept of sixty calm days, and which flights were scored."""
+    return score_months(scored_days(60, CALM), "HX", {})
+
+
+def rescored(days, before, component: str = "HX") -> list[int]:
+    """Flights that are scored anew."""
+    return np.flatnonzero(score_months(days, component, before)[1]).tolist()
+
+
+def test_new_flights_are_scored_by_month(first_scores):
+    scored, new = first_scores
     assert new.all()
     assert {m: part["HX|AAA|T-1|1"][0] for m, part in scored.items()} == {date(2024, 1, 1): 31, FEBRUARY: 29}
-    again, new = score_months(scored_days(60, calm), "HX", scored)
-    assert (again, new.any()) == (scored, False)
-    early = score_months(scored_days(40, calm[:40]), "HX", {})[0]
-    assert np.flatnonzero(score_months(scored_days(60, calm), "HX", early)[1]).tolist() == list(range(40, 60))
-    for changed, first in ((5, 0), (40, 31), (30, 0)):
-        other = [0.2 if k == changed else v for k, v in enumerate(calm)]
-        new = score_months(scored_days(60, other), "HX", scored)[1]
-        assert np.flatnonzero(new).tolist() == list(range(first, 60))
-    # withdrawn flights: the month is another, and so is all after it
-    fewer = score_months(scored_days(50, calm[:50]), "HX", scored)[1]
-    assert np.flatnonzero(fewer).tolist() == list(range(31, 50))
-    assert score_months(scored_days(60, calm), "CC", scored)[1].all()
 
 
-@pytest.mark.parametrize(
-    ("candidate", "service", "promoted"),
-    [
-        ({"interval_score_flights": 102.0, "brier": 0.051}, {"interval_score_flights": 100.0, "brier": 0.05}, True),
-        ({"interval_score_flights": 102.1, "brier": 0.05}, {"interval_score_flights": 100.0, "brier": 0.05}, False),
-        ({"interval_score_flights": 90.0, "brier": 0.0511}, {"interval_score_flights": 100.0, "brier": 0.05}, False),
-        ({"interval_score_flights": 90.0}, {"interval_score_flights": 100.0}, True),
-        ({"interval_score_flights": 90.0}, {"interval_score_flights": 100.0, "brier": 0.05}, False),
-        ({}, {}, True), ({"brier": 9.0}, {"failures": 3.0}, True),
-    ],
-)  # fmt: skip
+def test_unchanged_flights_are_not_rescored(first_scores):
+    again, new = score_months(scored_days(60, CALM), "HX", first_scores[0])
+    assert (again, new.any()) == (first_scores[0], False)
+
+
+def test_only_later_flights_are_scored():
+    early = score_months(scored_days(40, CALM[:40]), "HX", {})[0]
+    assert rescored(scored_days(60, CALM), early) == list(range(40, 60))
+
+
+@pytest.mark.parametrize(("changed", "first"), [(5, 0), (40, 31), (30, 0)])
+def test_changed_flight_rescores_later_ones(first_scores, changed, first):
+    """From the beginning of its month."""
+    other = [0.2 if k == changed else v for k, v in enumerate(CALM)]
+    assert rescored(scored_days(60, other), first_scores[0]) == list(range(first, 60))
+
+
+def test_withdrawn_flights_rescore_their_month(first_scores):
+    assert rescored(scored_days(50, CALM[:50]), first_scores[0]) == list(range(31, 50))
+
+
+def test_other_component_is_scored_anew(first_scores):
+    assert rescored(scored_days(60, CALM), first_scores[0], "CC") == list(range(60))
+
+
+PROMOTIONS = [
+    ({"interval_score_flights": 102.0, "brier": 0.051}, {"interval_score_flights": 100.0, "brier": 0.05}, True),
+    ({"interval_score_flights": 102.1, "brier": 0.05}, {"interval_score_flights": 100.0, "brier": 0.05}, False),
+    ({"interval_score_flights": 90.0, "brier": 0.0511}, {"interval_score_flights": 100.0, "brier": 0.05}, False),
+    ({"interval_score_flights": 90.0}, {"interval_score_flights": 100.0}, True),
+    ({"interval_score_flights": 90.0}, {"interval_score_flights": 100.0, "brier": 0.05}, False),
+    ({}, {}, True), ({"brier": 9.0}, {"failures": 3.0}, True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("candidate", "service", "promoted"), PROMOTIONS)
 def test_two_percent_worse_is_rejected(candidate, service, promoted):
     assert promote({"scores": candidate}, {"scores": service}).promoted is promoted
-    assert promote({"scores": candidate}, None).promoted
+
+
+@pytest.mark.parametrize("scores", [candidate for candidate, *_ in PROMOTIONS], ids=str)
+def test_first_model_is_promoted(scores):
+    assert promote({"scores": scores}, None).promoted
 
 
 def test_learning_is_as_declared():
@@ -180,24 +253,40 @@ def test_learning_is_as_declared():
     assert (base_module.MEMBERS, model.FOLDS, model.LEARN_FROM, model.HORIZON) == (3, 5, 12, 300.0)
     # a member learns from every twentieth flight of fifty fleets of twenty aircraft that fly six hundred times
     assert (base_module.simulated_rows.__defaults__, base_module.fit_member.__defaults__) == ((50, 20, 600, 20), (50,))
-    for rows, stride in ((1, 4), (4000, 4), (4001, 5), (8000, 8), (8001, 9)):
-        assert model._stride(np.ones(rows, bool)) == stride
-    assert split_tails(list("gfedcba")) == [("a", "f"), ("b", "g"), ("c",), ("d",), ("e",)]
-    assert split_tails(["x", "y"]) == [("x",), ("y",)]
-    assert split_tails([]) == []
     assert model.LESSONS == ((False, False), (True, False), (False, True), (True, True))
-    assert ComponentFit(PRIOR_RULES["CC"]) == ComponentFit(
-        PRIOR_RULES["CC"], HazardCorrection((0.0,) * 4), NOMINAL, 0, 0
-    )
-    base = Prognosis((), (0.1, 0.4, 0.9))
-    assert (prior_levels(base, "HX"), prior_levels(base, "CC")) == ((0.1, 0.4, 0.9), (0.05, 0.5, 0.95))
+
+
+@pytest.mark.parametrize(("rows", "stride"), [(1, 4), (4000, 4), (4001, 5), (8000, 8), (8001, 9)])
+def test_stride_limits_the_rows(rows, stride):
+    assert model._stride(np.ones(rows, bool)) == stride
+
+
+@pytest.mark.parametrize(
+    ("tails", "folds"),
+    [("gfedcba", [("a", "f"), ("b", "g"), ("c",), ("d",), ("e",)]), ("xy", [("x",), ("y",)]), ("", [])],
+)
+def test_tails_are_dealt_to_folds(tails, folds):
+    assert split_tails(list(tails)) == folds
+
+
+def test_unfitted_component_is_uncorrected():
+    fit = ComponentFit(PRIOR_RULES["CC"])
+    assert fit == ComponentFit(PRIOR_RULES["CC"], HazardCorrection((0.0,) * 4), NOMINAL, 0, 0)
+
+
+@pytest.mark.parametrize(("component", "levels"), [("HX", (0.1, 0.4, 0.9)), ("CC", (0.05, 0.5, 0.95))])
+def test_only_exchanger_takes_base_levels(component, levels):
+    assert prior_levels(Prognosis((), (0.1, 0.4, 0.9)), component) == levels
+
+
+@pytest.mark.parametrize("corrected", [False, True])
+@pytest.mark.parametrize("levelled", [False, True])
+def test_lessons_are_applied_singly(corrected, levelled):
     fit = ComponentFit(PRIOR_RULES["HX"], HazardCorrection((1.0,)), (0.2, 0.5, 0.8), 13, 20)
-    for corrected in (False, True):
-        for levelled in (False, True):
-            result = _keep_lessons(fit, (0.1, 0.4, 0.9), corrected, levelled)
-            assert any(result.correction.weights) is corrected
-            assert result.levels == (fit.levels if levelled else (0.1, 0.4, 0.9))
-            assert (result.rule, result.failures, result.lives) == (fit.rule, 13, 20)
+    result = _keep_lessons(fit, (0.1, 0.4, 0.9), corrected, levelled)
+    assert any(result.correction.weights) is corrected
+    assert result.levels == (fit.levels if levelled else (0.1, 0.4, 0.9))
+    assert (result.rule, result.failures, result.lives) == (fit.rule, 13, 20)
 
 
 def flat(chance: float, columns: int = 3) -> SimpleNamespace:
@@ -207,12 +296,24 @@ def flat(chance: float, columns: int = 3) -> SimpleNamespace:
     )  # fmt: skip
 
 
-def test_bases_compare_by_content(monkeypatch):
-    one = Prognosis((flat(0.1), flat(0.2)), (0.05, 0.5, 0.95))
-    assert same_base(one, Prognosis((flat(0.1), flat(0.2)), (0.05, 0.5, 0.95)))
-    for other in (Prognosis((flat(0.1), flat(0.21)), one.base_levels), Prognosis((flat(0.1),), one.base_levels),
-                  Prognosis(one.hazard, (0.05, 0.5, 0.94))):  # fmt: skip
-        assert not same_base(one, other)
+BASE = Prognosis((flat(0.1), flat(0.2)), (0.05, 0.5, 0.95))
+
+
+@pytest.mark.parametrize(
+    ("other", "is_same"),
+    [
+        (Prognosis((flat(0.1), flat(0.2)), BASE.base_levels), True),
+        (Prognosis((flat(0.1), flat(0.21)), BASE.base_levels), False),
+        (Prognosis((flat(0.1),), BASE.base_levels), False),
+        (Prognosis(BASE.hazard, (0.05, 0.5, 0.94)), False),
+    ],
+    ids=["equal", "hazard", "members", "levels"],
+)
+def test_bases_compare_by_content(other, is_same):
+    assert same_base(BASE, other) is is_same
+
+
+def test_hazards_are_asked_in_parts(monkeypatch):
     monkeypatch.setattr(hazard, "probabilities", lambda m, x, spans: m * x[:, :1] / spans)
     rows = np.linspace(0.1, 1.0, 11)[:, None]
     whole = hazards([1.0, 3.0], rows)
@@ -221,41 +322,73 @@ def test_bases_compare_by_content(monkeypatch):
     np.testing.assert_array_equal(hazards([1.0, 3.0], rows), whole)
 
 
+SINGLE = Prognosis((flat(0.1),), (0.05, 0.5, 0.95))
+FIT = ComponentFit(PRIOR_RULES["CC"])
+
+
 def test_version_covers_all_fits():
-    base = Prognosis((flat(0.1),), (0.05, 0.5, 0.95))
-    fit = ComponentFit(PRIOR_RULES["CC"])
-    learned = [{}, {"CC": fit}, {"CC": replace(fit, levels=(0.1, 0.5, 0.9))},
-               {"CC": replace(fit, correction=HazardCorrection((0.1,)))}, {"HX": fit}]  # fmt: skip
-    versions = [with_version(base, fits).version for fits in learned]
+    fits = [{}, {"CC": FIT}, {"CC": replace(FIT, levels=(0.1, 0.5, 0.9))},
+            {"CC": replace(FIT, correction=HazardCorrection((0.1,)))}, {"HX": FIT}]  # fmt: skip
+    versions = [with_version(SINGLE, own).version for own in fits]
     versions += [
-        with_version(base, folds=(Fold(("A",), {"CC": fit}),)).version,
-        with_version(replace(base, hazard=(flat(0.2),))).version,
+        with_version(SINGLE, folds=(Fold(("A",), {"CC": FIT}),)).version,
+        with_version(replace(SINGLE, hazard=(flat(0.2),))).version,
     ]
     assert len(set(versions)) == len(versions)
     assert {len(v) for v in versions} == {12}
-    assert with_version(base, learned[1]).version == versions[1]
-    assert from_parts(to_parts(base)) == base
-    fits = {"CC": replace(fit, failures=3, lives=7), "HX": ComponentFit(PRIOR_RULES["HX"])}
-    card = model_card(with_version(base, fits))
+
+
+def test_equal_fits_have_equal_version():
+    one, other = (with_version(SINGLE, {"CC": ComponentFit(PRIOR_RULES["CC"])}).version for _ in range(2))
+    assert one == other
+
+
+def test_parts_restore_a_base():
+    assert from_parts(to_parts(SINGLE)) == SINGLE
+
+
+def test_card_counts_failures_by_component():
+    fits = {"CC": replace(FIT, failures=3, lives=7), "HX": ComponentFit(PRIOR_RULES["HX"])}
+    card = model_card(with_version(SINGLE, fits))
     assert (card["failures"], card["lives"], card["scores"]) == ({"CC": 3, "HX": 0}, {"CC": 7, "HX": 0}, {})
     assert card["message"]["CC"] == asdict(PRIOR_RULES["CC"])
+
+
+def test_flight_has_version_of_its_month():
     frame = pl.DataFrame({"departed_at": [datetime(2024, 1, 31, 23, tzinfo=UTC), datetime(2024, 2, 1, tzinfo=UTC)]})
-    at = {date(2024, 1, 1): replace(base, version="j"), FEBRUARY: replace(base, version="f")}
+    at = {date(2024, 1, 1): replace(SINGLE, version="j"), FEBRUARY: replace(SINGLE, version="f")}
     assert frame.select(_version_of(at)).to_series().to_list() == ["j", "f"]
 
 
+HORIZONS = (50.0, 100.0, 200.0, 300.0)
+PASSAGE = event_by(passage_hazards(np.array([[0.2, 0.1, 0.8, 1.0], [0.0, 0.0, 0.0, np.nan]]), HORIZONS))
+
+
 def test_passage_spreads_between_horizons():
-    by = passage_hazards(np.array([[0.2, 0.1, 0.8, 1.0], [0.0, 0.0, 0.0, np.nan]]), (50.0, 100.0, 200.0, 300.0))
-    p_by = dict(zip(EDGES, event_by(by)[0], strict=True))
+    p_by = dict(zip(EDGES, PASSAGE[0], strict=True))
     assert (p_by[10.0], p_by[80.0], p_by[150.0], p_by[300.0]) == pytest.approx((0.04, 0.2, 0.5, 1.0))
-    assert np.isnan(event_by(by)[1, -1])
-    assert passage_hazards(np.zeros((0, 4)), (50.0, 100.0, 200.0, 300.0)).shape == (0, SPANS)
-    sure = passage_hazards(np.ones((1, 4)), (50.0, 100.0, 200.0, 300.0))
-    assert sure[0, 7] == 0.0  # nobody is left after fifty flights
-    ahead = events_ahead(event_by(by[:1]))
+
+
+def test_unknown_passage_stays_unknown():
+    assert np.isnan(PASSAGE[1, -1])
+
+
+def test_no_units_have_no_passage():
+    assert passage_hazards(np.zeros((0, 4)), HORIZONS).shape == (0, SPANS)
+
+
+def test_hazard_is_zero_after_last_unit():
+    assert passage_hazards(np.ones((1, 4)), HORIZONS)[0, 7] == 0.0
+
+
+def test_events_ahead_follow_chances():
+    ahead = events_ahead(PASSAGE[:1])
     assert [ahead[f"p_event_{k}"][0] for k in (25, 50, 100, 200, 300)] == pytest.approx([0.1, 0.2, 0.2, 0.8, 1.0])
-    flat = np.r_[0.0, np.full(SPANS, 0.5)][None]
-    assert quantile(flat, 0.5)[0] == pytest.approx(5.0, abs=1e-6)
+
+
+def test_quantile_is_first_flight_there():
+    flat_by = np.r_[0.0, np.full(SPANS, 0.5)][None]
+    assert quantile(flat_by, 0.5)[0] == pytest.approx(5.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(("slope", "n_seen", "flights"), [(2e-4, 29.0, 30.0), (2e-4, 150.0, 100.0), (None, 29.0, 2.0)])
