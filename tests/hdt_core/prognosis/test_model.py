@@ -52,7 +52,7 @@ def fitted(fleet, base):
 
 
 @pytest.fixture(scope="module")
-def held_out(fleet, base):
+def forecasts(fleet, base):
     lives = episodes(*fleet)
     track = tracks(fleet[0], lives, "HX")
     folds = split_tails(fleet[0]["tail"].unique().to_list())
@@ -60,40 +60,58 @@ def held_out(fleet, base):
     return join_outcomes(predict_by_fold(model, "HX", track, np.ones(len(track.at), bool)), fleet[0], lives)
 
 
-def test_flights_have_rows_per_component(fitted):
+@pytest.fixture(scope="module")
+def prognoses(fitted):
     features, lives, model = fitted
-    prognoses = predict_prognosis(model, features, lives)
-    assert prognoses.group_by("component").len()["len"].to_list() == [features.height] * 2
+    return predict_prognosis(model, features, lives)
+
+
+def test_flights_have_rows_per_component(fitted, prognoses):
+    assert prognoses.group_by("component").len()["len"].to_list() == [fitted[0].height] * 2
     assert prognoses.unique(["tail", "flight_id", "pack", "component"]).height == prognoses.height
-    hx = prognoses.filter(pl.col("component") == "HX")
+
+
+def test_exchanger_prognoses_are_ordered(prognoses):
+    hx = prognoses.filter(component="HX")
     assert hx.null_count().select(pl.sum_horizontal(pl.all())).item() == 0
     assert (hx["rul_low"] <= hx["rul_flights"]).all()
     assert (hx["rul_flights"] <= hx["rul_high"]).all()
     assert hx["p_event_50"].is_between(0.0, 1.0).all()
-    # no compressor track in this fleet: the rows are there, and say nothing
-    assert prognoses.filter(pl.col("component") == "CC")["rul_flights"].is_null().all()
 
 
-def test_later_flights_change_no_prognosis(fitted):
+def test_compressor_without_track_is_blank(prognoses):
+    """The rows are there, and say nothing."""
+    assert prognoses.filter(component="CC")["rul_flights"].is_null().all()
+
+
+@pytest.fixture(scope="module")
+def middle(fitted):
+    """When half of the flights had departed."""
+    departed = fitted[0]["departed_at"].sort()
+    return departed[len(departed) // 2]
+
+
+def test_later_flights_change_no_prognosis(fitted, prognoses, middle):
     features, lives, model = fitted
-    cut = features["departed_at"].sort()[features.height // 2]
-    early = features.filter(pl.col("departed_at") <= cut)
-    now = predict_prognosis(model, early, lives)
-    then = predict_prognosis(model, features, lives).filter(pl.col("departed_at") <= cut)
+    early = pl.col("departed_at") <= middle
     keys = ["component", "tail", "pack", "flight_id"]
+    now, then = (
+        rows.sort(keys) for rows in (predict_prognosis(model, features.filter(early), lives), prognoses.filter(early))
+    )
     for name in ("rul_flights", "rul_low", "rul_high", "p_event_50"):
-        left, right = (f.sort(keys)[name].to_numpy() for f in (now, then))
-        np.testing.assert_allclose(left, right, atol=1e-9)
+        np.testing.assert_allclose(now[name].to_numpy(), then[name].to_numpy(), atol=1e-9)
+
+
+def test_later_flights_change_no_row(fitted, middle):
     features, lives, _ = fitted
-    cut = features["departed_at"].sort()[features.height // 2]
-    early, whole = (tracks(f, lives, "HX") for f in (features.filter(pl.col("departed_at") <= cut), features))
+    early, whole = (tracks(f, lives, "HX") for f in (features.filter(pl.col("departed_at") <= middle), features))
     now, then = (fleet_rows(t, {"": PRIOR_RULE}).features for t in (early, whole))
-    np.testing.assert_array_equal(now, then[(whole.keys["departed_at"] <= cut).to_numpy()])
+    np.testing.assert_array_equal(now, then[(whole.keys["departed_at"] <= middle).to_numpy()])
 
 
-def test_unseen_lives_are_forecast(held_out):
-    scores = score_prognoses(held_out)
-    remaining = held_out.filter(pl.col("failed") | (pl.col("remaining") >= 300))["remaining"].clip(0, 300).to_numpy()
+def test_unseen_lives_are_forecast(forecasts):
+    scores = score_prognoses(forecasts)
+    remaining = forecasts.filter(pl.col("failed") | (pl.col("remaining") >= 300))["remaining"].clip(0, 300).to_numpy()
     constant = np.abs(remaining - np.median(remaining)).mean()
     assert scores["mae_flights"] < 0.9 * constant
     assert scores["interval_skill"] > 0.2
@@ -116,15 +134,21 @@ def test_stored_parts_restore_the_model(fitted):
     features, lives, model = fitted
     sio = pytest.importorskip("skops.io")
     blob = sio.dumps(to_parts(model))
-    assert not [t for t in sio.get_untrusted_types(data=blob) if t.startswith("hdt_core")]
-    base = from_parts(sio.loads(blob, trusted=sio.get_untrusted_types(data=blob)))
-    again = with_fits(base, json.loads(json.dumps(fits_to_json(model))))
+    types = sio.get_untrusted_types(data=blob)
+    assert not [t for t in types if t.startswith("hdt_core")]
+    again = with_fits(from_parts(sio.loads(blob, trusted=types)), json.loads(json.dumps(fits_to_json(model))))
     head = features.filter(pl.col("tail") == "LX-T00")
     assert predict_prognosis(again, head, lives).equals(predict_prognosis(model, head, lives))
+
+
+def test_older_home_restores_fits(fitted):
     model = fitted[2]
     older = json.dumps(fits_to_json(model)).replace('"rule": ', '"says": ')
     assert '"rule"' not in older
     assert with_fits(model, json.loads(older)).fits == model.fits
+
+
+def test_same_lives_give_same_version(fitted):
     features, lives, model = fitted
     assert fit_prognosis(features, lives, base=shipped_base()).version == model.version
 
@@ -135,16 +159,32 @@ def test_same_seed_gives_same_base():
     np.testing.assert_array_equal(one.predict_proba(probe), other.predict_proba(probe))
 
 
-def test_worse_model_is_not_promoted(fitted):
-    card = model_card(fitted[2], {"interval_score_flights": 150.0, "brier": 0.05})
-    worse = model_card(fitted[2], {"interval_score_flights": 180.0, "brier": 0.05})
-    assert promote(card, None).promoted
-    assert promote(card, worse).promoted
-    verdict = promote(worse, card)
+@pytest.fixture
+def cards(fitted):
+    """Of the model, and of one whose intervals are worse."""
+    return [model_card(fitted[2], {"interval_score_flights": score, "brier": 0.05}) for score in (150.0, 180.0)]
+
+
+def test_first_model_is_promoted(cards):
+    assert promote(cards[0], None).promoted
+
+
+def test_better_model_is_promoted(cards):
+    assert promote(*cards).promoted
+
+
+def test_worse_model_is_not_promoted(cards):
+    verdict = promote(*reversed(cards))
     assert not verdict.promoted
     assert "interval_score" in verdict.reason
-    assert not promote(model_card(fitted[2]), card).promoted
-    json.dumps(card)
+
+
+def test_unscored_model_is_not_promoted(fitted, cards):
+    assert not promote(model_card(fitted[2]), cards[0]).promoted
+
+
+def test_card_is_json(cards):
+    json.dumps(cards[0])
 
 
 def test_service_keeps_better_model(fleet, fitted):
@@ -175,14 +215,29 @@ def _contrary(seed: int) -> HistGradientBoostingClassifier:
 
 
 @pytest.fixture(scope="module")
-def held_halves(fleet, base):
-    """Tracks of the fleet, and of each half of its tails which rows lie outside it."""
+def tail_halves(fleet, base):
+    """Tracks of the fleet, and each half of its tails."""
     track = tracks(fleet[0], episodes(*fleet), "HX")
     tails = track.keys["tail"].unique().sort().to_list()
     return track, [tuple(tails[::2]), tuple(tails[1::2])]
 
 
-@pytest.mark.parametrize(
+@pytest.fixture(scope="module")
+def outside_halves(tail_halves):
+    """Tracks, and of each half which rows lie outside it."""
+    track, tail_groups = tail_halves
+    return track, [~track.keys["tail"].is_in(names).to_numpy() for names in tail_groups]
+
+
+@pytest.fixture(scope="module")
+def pessimistic(base):
+    """The base with log odds 2 too high."""
+    high = deepcopy(base.hazard[0])
+    high._baseline_prediction = high._baseline_prediction + 2.0
+    return replace(base, hazard=(high,))
+
+
+each_wrong_fit = pytest.mark.parametrize(
     ("base_levels", "weights", "levels", "expected"),
     [
         ((0.05, 0.5, 0.95), (6.0, 0.0, 0.0, 0.0), (0.05, 0.5, 0.95), (False, False)),  # every unit about to fail
@@ -190,20 +245,29 @@ def held_halves(fleet, base):
         ((0.49, 0.5, 0.51), (0.0, 0.0, 0.0, 0.0), (0.05, 0.5, 0.95), (False, True)),  # an interval for none
     ],
 )
-def test_only_helpful_lessons_are_learned(base, held_halves, base_levels, weights, levels, expected):
-    track, tail_groups = held_halves
-    outside = [~track.keys["tail"].is_in(names).to_numpy() for names in tail_groups]
+
+
+@each_wrong_fit
+def test_only_helpful_lessons_are_learned(base, outside_halves, base_levels, weights, levels, expected):
+    """Those that narrow the interval score of lives outside their fold."""
+    track, outside = outside_halves
     fit = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), levels, failures=5, lives=9)
     scores = _lesson_scores(replace(base, base_levels=base_levels), track, "HX", outside, [fit, fit])
     assert LESSONS[int(np.argmin(scores.sum(axis=0)))] == expected
-    muted = replace(track, mute=track.mute | ~outside[1])  # a fold whose own lives tell nothing scores nothing
+
+
+@each_wrong_fit
+def test_mute_fold_scores_nothing(base, outside_halves, base_levels, weights, levels, expected):
+    track, outside = outside_halves
+    fit = ComponentFit({"": PRIOR_RULE}, HazardCorrection(weights), levels, failures=5, lives=9)
+    muted = replace(track, mute=track.mute | ~outside[1])
     own = _lesson_scores(base, muted, "HX", outside, [fit, fit])
     assert (own > 0.0).tolist() == [[True] * len(LESSONS), [False] * len(LESSONS)]
 
 
-def test_fold_ignores_its_own_lives(base, held_halves, monkeypatch):
+def test_fold_ignores_its_own_lives(base, tail_halves, monkeypatch):
     """Of three folds the first's lives want the correction most; the first alone is judged by the others."""
-    track, tail_groups = held_halves
+    track, tail_groups = tail_halves
     track_folds = [tail_groups[0][:1], tail_groups[0][1:], tail_groups[1]]
     scores = np.array([[9.0, 0.0, 9.0, 9.0], [1.0, 2.0, 9.0, 9.0], [1.0, 2.0, 9.0, 9.0]])
     monkeypatch.setattr("hdt_core.prognosis.model._lesson_scores", lambda *_: scores)
@@ -215,50 +279,57 @@ def test_fold_ignores_its_own_lives(base, held_halves, monkeypatch):
     assert all(fit.levels == base.base_levels for fit in fits)
 
 
-def test_pessimistic_base_is_corrected(base, held_halves, monkeypatch):
-    """Log odds 2 too high: what a fleet's lives say of it narrows the score, so it is kept in every fold."""
+def test_pessimistic_base_is_corrected(pessimistic, tail_halves, monkeypatch):
+    """What a fleet's lives say of it narrows the score, so it is kept in every fold."""
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
-    track, tail_groups = held_halves
-    high = deepcopy(base.hazard[0])
-    high._baseline_prediction = high._baseline_prediction + 2.0
-    fits = fit_component(replace(base, hazard=(high,)), track, "HX", tail_groups)
+    track, tail_groups = tail_halves
+    fits = fit_component(pessimistic, track, "HX", tail_groups)
     assert all(fit.correction.weights[0] < -0.2 for fit in fits)
 
 
-def test_few_failures_correct_nothing(base, held_halves, monkeypatch):
-    """Below the limit the base stands; of a compressor always."""
-    track, tail_groups = held_halves
-    high = deepcopy(base.hazard[0])
-    high._baseline_prediction = high._baseline_prediction + 2.0
-    wrong = replace(base, hazard=(high,))
-    failures = fit_component(wrong, track, "HX", tail_groups)[0].failures
-    for limit, corrected in ((1, True), (failures + 1, False)):
-        monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", limit)
-        whole = fit_component(wrong, track, "HX", tail_groups)[0]
-        assert any(whole.correction.weights) == corrected
-        assert whole.failures == failures
+@pytest.mark.parametrize(("limit", "corrected"), [(None, True), (1, False)])
+def test_few_failures_correct_nothing(pessimistic, tail_halves, monkeypatch, limit, corrected):
+    """Below the limit the base stands."""
+    track, tail_groups = tail_halves
+    failures = fit_component(pessimistic, track, "HX", tail_groups)[0].failures
+    monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1 if limit is None else failures + limit)
+    whole = fit_component(pessimistic, track, "HX", tail_groups)[0]
+    assert any(whole.correction.weights) == corrected
+    assert whole.failures == failures
+
+
+def test_compressor_is_never_corrected(pessimistic, tail_halves, monkeypatch):
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
-    assert not any(fit_component(wrong, track, "CC", tail_groups)[0].correction.weights)
+    track, tail_groups = tail_halves
+    assert not any(fit_component(pessimistic, track, "CC", tail_groups)[0].correction.weights)
 
 
 @pytest.mark.parametrize(("limit", "corrected"), [(0, True), (1, False)])
-def test_component_learns_at_limit(base, held_halves, monkeypatch, limit, corrected):
-    track, _ = held_halves
+def test_component_learns_at_limit(base, tail_halves, monkeypatch, limit, corrected):
+    track, _ = tail_halves
     failures = fit_component(base, track, "HX", [])[0].failures
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", failures + limit)
     assert any(fit_component(base, track, "HX", [])[0].correction.weights) == corrected
 
 
-def test_compressor_hazard_is_first_passage(base):
-    """Of 50, 100, 200 and 300 flights: by 75 flights half way between the first two."""
+@pytest.fixture(scope="module")
+def passages():
+    """Rows of a unit with a first passage by 50, 100, 200 and 300 flights, and of one without."""
     features = np.full((2, len(INPUTS)), np.nan)
     features[0, [INPUTS.index(f"passage_{k}") for k in (50, 100, 200, 300)]] = 0.2, 0.6, 0.6, 1.0
-    by = event_by(_hazards(base, "CC", features))
-    at = dict(zip(EDGES, by[0], strict=True))
-    assert at[50.0] == pytest.approx(0.2)
-    assert at[80.0] == pytest.approx(0.2 + 0.4 * 30 / 50)
-    assert at[200.0] == pytest.approx(0.6)
-    assert at[300.0] == pytest.approx(1.0)
-    learned = event_by(hazards(base.hazard, features))
+    return features
+
+
+def test_compressor_hazard_is_first_passage(base, passages):
+    at = dict(zip(EDGES, event_by(_hazards(base, "CC", passages))[0], strict=True))
+    expected = {50.0: 0.2, 80.0: 0.2 + 0.4 * 30 / 50, 200.0: 0.6, 300.0: 1.0}
+    assert {flights: at[flights] for flights in expected} == pytest.approx(expected)
+
+
+def test_unknown_passage_leaves_base_hazard(base, passages):
+    by, learned = (event_by(h) for h in (_hazards(base, "CC", passages), hazards(base.hazard, passages)))
     np.testing.assert_array_equal(by[1], learned[1])
-    np.testing.assert_array_equal(event_by(_hazards(base, "HX", features)), learned)
+
+
+def test_exchanger_hazard_is_that_of_base(base, passages):
+    np.testing.assert_array_equal(event_by(_hazards(base, "HX", passages)), event_by(hazards(base.hazard, passages)))
