@@ -27,15 +27,28 @@ def slope(level: np.ndarray, first: int, last: int) -> float:
 WAVY = 0.1 + 1e-3 * np.arange(120) + 0.01 * np.sin(0.7 * np.arange(120))
 
 
-def test_slopes_are_least_squares():
-    values = record(WAVY)
-    for window in (10, 30, 100):
-        assert values[f"slope_{window}"][119] == pytest.approx(slope(WAVY, 120 - window, 119))
-        assert values[f"slope_{window}"][7] == pytest.approx(slope(WAVY, 0, 7))
-    assert values["slope_life"][119] == pytest.approx(slope(WAVY, 0, 119))
-    assert values["slope_life"][3] == 0.0 != values["slope_life"][4]
-    assert values["bend"][119] == pytest.approx(values["slope_30"][119] - values["slope_100"][119])
-    # However many units are looked at together, to the last digit.
+@pytest.fixture(scope="module")
+def wavy() -> dict[str, np.ndarray]:
+    return record(WAVY)
+
+
+@pytest.mark.parametrize("window", [10, 30, 100])
+def test_slopes_are_least_squares(wavy, window):
+    assert wavy[f"slope_{window}"][119] == pytest.approx(slope(WAVY, 120 - window, 119))
+    assert wavy[f"slope_{window}"][7] == pytest.approx(slope(WAVY, 0, 7))
+
+
+def test_slope_of_life_needs_five_flights(wavy):
+    assert wavy["slope_life"][119] == pytest.approx(slope(WAVY, 0, 119))
+    assert wavy["slope_life"][3] == 0.0 != wavy["slope_life"][4]
+
+
+def test_bend_is_difference_of_slopes(wavy):
+    assert wavy["bend"][119] == pytest.approx(wavy["slope_30"][119] - wavy["slope_100"][119])
+
+
+def test_rows_are_independent_of_others():
+    """However many units are looked at together, to the last digit."""
     level = track(2 * UNITS_AT_ONCE + 3, 40)
     panel = Panel(level, *(np.full_like(level, k) for k in (0.02, 10.0, -0.3, 2.0, 1.0, 0.2, 100.0)))
     unit, flight = (i.ravel() for i in np.indices(level.shape))
@@ -47,66 +60,117 @@ def test_slopes_are_least_squares():
         np.testing.assert_array_equal(together[own], record_rows(alone, (np.zeros(own.sum(), int), flight[mixed][own])))
 
 
-@pytest.mark.parametrize(("drop", "begins"), [(0.034, 0), (0.036, 60)])
-def test_stretch_begins_with_a_drop(drop, begins):
+@pytest.mark.parametrize(("drop", "first"), [(0.034, 0), (0.036, 60)])
+def test_stretch_begins_with_a_drop(drop, first):
+    """With the last flight that lies so far below that of three flights before."""
     level = 0.2 + np.where(np.arange(100) >= 58, -drop, 0.0) + 1e-5 * np.arange(100)
     values = record(level)
-    first = 60 if begins else 0  # the last flight that lies so far below that of three flights before
     assert values["run"][99] == 100 - first
     assert values["slope_segment"][99] == pytest.approx(slope(level, first, 99), abs=1e-12)
 
 
-def test_jumps_by_hand():
+@pytest.fixture(scope="module")
+def jumping() -> dict[str, np.ndarray]:
     """Up by 0.05 at once at flight 20, half of it down again at flight 40."""
-    level = 0.1 + np.where(np.arange(80) >= 20, 0.05, 0.0) - np.where(np.arange(80) >= 40, 0.025, 0.0)
-    values = record(level)
-    assert values["jump_10"][[19, 20, 22, 31, 32]].tolist() == pytest.approx([0.0, 0.05, 0.05, 0.05, 0.0])
-    assert values["jump_largest"][[19, 79]].tolist() == pytest.approx([0.0, 0.05])
-    assert values["peak"][[19, 79]].tolist() == pytest.approx([0.1, 0.15])
-    # three flights see the step; what is above 0.02 counts, a third of it each, over the peak
-    assert values["jump_share"][79] == pytest.approx((0.05 - 0.02) / 0.15)
-    assert values["jump_share"][20] == pytest.approx((0.05 - 0.02) / 3.0 / 0.15)
+    return record(0.1 + np.where(np.arange(80) >= 20, 0.05, 0.0) - np.where(np.arange(80) >= 40, 0.025, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "flights", "expected"),
+    [
+        ("jump_10", [19, 20, 22, 31, 32], [0.0, 0.05, 0.05, 0.05, 0.0]),
+        ("jump_largest", [19, 79], [0.0, 0.05]),
+        ("peak", [19, 79], [0.1, 0.15]),
+        # three flights see the step; what is above 0.02 counts, a third of it each, over the peak
+        ("jump_share", [79, 20], [(0.05 - 0.02) / 0.15, (0.05 - 0.02) / 3.0 / 0.15]),
+    ],
+)
+def test_jumps_by_hand(jumping, name, flights, expected):
+    assert jumping[name][flights].tolist() == pytest.approx(expected)
+
+
+def test_small_jump_has_no_share():
     assert record(np.r_[np.zeros(5), np.full(5, 0.04)] / 4.0)["jump_share"][9] == 0.0
+
+
+def test_jump_share_has_least_peak():
     risen = record(np.r_[np.zeros(5), np.full(5, 0.05)] - 0.04)["jump_share"][9]
     assert risen == pytest.approx(0.03 / 0.02)
+
+
+def test_entry_level_is_median_of_five():
     entry = record(np.arange(10) / 100.0)["entry_level"]
     assert entry.tolist() == pytest.approx([0.0, 0.01, 0.02, 0.03, 0.04, *[0.02] * 5])
 
 
-def test_roughness_spans_thirty_flights():
+@pytest.mark.parametrize(("flight", "first"), [(59, 30), (9, 0)])
+def test_roughness_spans_thirty_flights(flight, first):
     level = np.cumsum(0.01 * np.random.default_rng(1).standard_normal(60))
-    change = np.r_[0.0, np.diff(level)]
-    values = record(level)["roughness"]
-    assert values[59] == pytest.approx(np.sqrt(np.mean(change[30:60] ** 2)))
-    assert values[9] == pytest.approx(np.sqrt(np.mean(change[:10] ** 2)))
+    change = np.r_[0.0, np.diff(level)][first : flight + 1]
+    assert record(level)["roughness"][flight] == pytest.approx(np.sqrt(np.mean(change**2)))
+
+
+def test_season_follows_the_year():
     values = record(WAVY, day=np.linspace(1.0, 365.25, 120))
     assert values["season_sin"][0] == pytest.approx(np.sin(2.0 * np.pi / 365.25))
     assert values["season_cos"][119] == pytest.approx(1.0)
-    assert values["age_flights"][4] == 7.0
-    assert values["seen_flights"][4] == 5.0
-    assert values["level_sd"][4] == 0.02
-    assert values["ratio"][4] == -0.1
 
 
-def test_averages_span_recent_flights():
+@pytest.mark.parametrize(
+    ("name", "value"), [("age_flights", 7.0), ("seen_flights", 5.0), ("level_sd", 0.02), ("ratio", -0.1)]
+)
+def test_rows_hold_what_is_known(wavy, name, value):
+    assert wavy[name][4] == value
+
+
+@pytest.fixture(scope="module")
+def observed() -> dict[str, np.ndarray]:
+    """Overheat by the fifth and the half, and share of open door, at random; some flights show nothing."""
     rng = np.random.default_rng(2)
     hot, half, door = (rng.uniform(0.0, 6.0, 60) for _ in range(3))
     hot[[5, 55]] = np.nan
     hot[30] = 9.0
     hot[56] = 3.0
-    values = record(np.zeros(60), overheat_k=hot, overheat_half_k=half, full_open=door)
-    assert values["overheat_10"][0] == pytest.approx(hot[0])
-    assert values["overheat_10"][59] == pytest.approx(np.nanmean(hot[50:]))
-    assert values["overheat_40"][59] == pytest.approx(np.nanmean(hot[20:]))
-    assert values["overheat_half_40"][59] == pytest.approx(half[20:].mean())
-    assert values["full_open_10"][59] == pytest.approx(door[50:].mean())
-    assert values["full_open_40"][59] == pytest.approx(door[20:].mean())
-    valid = hot[20:][np.isfinite(hot[20:])]
-    assert values["hot_share_40"][59] == pytest.approx((valid > 3.0).mean())
-    assert values["overheat_most_40"][59] == 9.0
-    assert values["overheat_most_40"][5] == values["overheat_most_40"][4]
+    return {"overheat_k": hot, "overheat_half_k": half, "full_open": door}
+
+
+@pytest.fixture(scope="module")
+def averages(observed) -> dict[str, np.ndarray]:
+    return record(np.zeros(60), **observed)
+
+
+@pytest.mark.parametrize(
+    ("name", "signal", "first"),
+    [
+        ("overheat_10", "overheat_k", 50), ("overheat_40", "overheat_k", 20),
+        ("overheat_half_40", "overheat_half_k", 20), ("full_open_10", "full_open", 50),
+        ("full_open_40", "full_open", 20),
+    ],
+)  # fmt: skip
+def test_averages_span_recent_flights(observed, averages, name, signal, first):
+    assert averages[name][59] == pytest.approx(np.nanmean(observed[signal][first:]))
+
+
+def test_first_average_is_the_flights_own(observed, averages):
+    assert averages["overheat_10"][0] == pytest.approx(observed["overheat_k"][0])
+
+
+def test_hot_share_counts_known_flights(observed, averages):
+    recent = observed["overheat_k"][20:]
+    assert averages["hot_share_40"][59] == pytest.approx((recent[np.isfinite(recent)] > 3.0).mean())
+
+
+def test_most_overheat_passes_silent_flights(averages):
+    assert averages["overheat_most_40"][59] == 9.0
+    assert averages["overheat_most_40"][5] == averages["overheat_most_40"][4]
+
+
+def test_most_overheat_lasts_forty_flights():
     once = record(np.zeros(80), overheat_k=np.where(np.arange(80) == 30, 9.0, 1.0))
     assert once["overheat_most_40"][[69, 70]].tolist() == [9.0, 1.0]
+
+
+def test_silent_unit_has_no_average():
     assert np.isnan(record(np.zeros(3), overheat_k=np.full(3, np.nan))["overheat_10"]).all()
 
 
@@ -117,40 +181,70 @@ def rows(level: np.ndarray, demand: float, ratio: float, flight: int) -> dict[st
     return dict(zip(FEATURES, feature_rows(table, critical, (np.array([0]), np.array([flight])))[0], strict=True))
 
 
-@pytest.mark.parametrize("flight", [40, 99, 119])
+each_flight = pytest.mark.parametrize("flight", [40, 99, 119])
+
+
+@each_flight
 def test_forecast_uses_last_hundred_flights(flight):
     """The wear of a fraction is larger in ln of what is left, by that."""
     values = rows(WAVY, -0.5, -0.2, flight)
-    slopes = record(WAVY)
     per_flight = slope(WAVY, max(flight - 99, 0), flight) / (1.0 - WAVY[flight])
     edges = np.array([0.0, 10, 25, 50, 75, 100, 150, 200, 250, 300])
     wear = wear_rate(np.array([per_flight]), np.array([flight + 1.0]))
     by = passage(np.array([-0.2]), np.array([0.012]), np.full((1, len(LEVELS)), -0.5), *wear, edges)[0]
-    for ahead, at in ((50, 3), (100, 5), (200, 7), (300, 9)):
-        assert values[f"passage_{ahead}"] == pytest.approx(by[at])
+    ahead = [values[f"passage_{k}"] for k in (50, 100, 200, 300)]
+    assert ahead == pytest.approx(by[[3, 5, 7, 9]])
     assert values["passage_median"] == pytest.approx(np.interp(0.5, by, edges))
-    assert values["reserve_95"] == pytest.approx(0.3, abs=1e-9)
-    for name in ("30", "100", "segment"):
-        want = min(max(0.3 / (slopes[f"slope_{name}"][flight] / (1.0 - WAVY[flight])), 0.0), 1000.0)
-        assert values[f"left_linear_{name}"] == pytest.approx(want, rel=1e-9)
 
 
-def test_linear_forecast_is_bounded():
-    rising = 0.1 + 1e-3 * np.arange(50)
-    assert rows(rising, -0.1, -0.2, 49)["left_linear_30"] == 0.0
-    assert rows(np.full(50, 0.1), -0.5, -0.2, 49)["left_linear_30"] == 1000.0
-    assert rows(rising * 1e-2, -0.5, -0.2, 49)["left_linear_30"] == 1000.0
-    worn = 0.85 + 1e-3 * np.arange(50)  # what is left counts as a fifth at least
-    assert rows(worn, -0.5, -0.2, 49)["left_linear_30"] == pytest.approx(0.3 / (1e-3 / 0.2))
+@each_flight
+def test_reserve_is_ratio_above_demand(flight):
+    assert rows(WAVY, -0.5, -0.2, flight)["reserve_95"] == pytest.approx(0.3, abs=1e-9)
+
+
+@each_flight
+@pytest.mark.parametrize("name", ["30", "100", "segment"])
+def test_linear_forecast_divides_reserve_by_slope(wavy, flight, name):
+    want = min(max(0.3 / (wavy[f"slope_{name}"][flight] / (1.0 - WAVY[flight])), 0.0), 1000.0)
+    assert rows(WAVY, -0.5, -0.2, flight)[f"left_linear_{name}"] == pytest.approx(want, rel=1e-9)
+
+
+RISING = 1e-3 * np.arange(50)
+
+
+@pytest.mark.parametrize(
+    ("level", "demand", "left"),
+    [
+        (0.1 + RISING, -0.1, 0.0),
+        (np.full(50, 0.1), -0.5, 1000.0),
+        (1e-2 * (0.1 + RISING), -0.5, 1000.0),
+        (0.85 + RISING, -0.5, pytest.approx(0.3 / (1e-3 / 0.2))),  # what is left counts as a fifth at least
+    ],
+    ids=["no reserve", "no wear", "little wear", "worn"],
+)
+def test_linear_forecast_is_bounded(level, demand, left):
+    assert rows(level, demand, -0.2, 49)["left_linear_30"] == left
+
+
+def test_demand_beyond_ratio_fails_soon():
     level = np.broadcast_to(0.1 + 0.002 * np.arange(150.0), (1, 150))
     safe, failing = (features(level, np.full((1, 150), np.log(share))) for share in (0.2, 0.9))
     assert safe["passage_50"][0, 140] < 0.01
     assert failing["passage_50"][0, 140] > 0.99
     assert failing["passage_median"][0, 140] < 10.0 < safe["passage_median"][0, 140]
+
+
+@pytest.mark.parametrize(
+    ("names", "sign"),
+    [
+        (("reserve_95", "left_linear_30", "passage_median"), -1),
+        (("passage_100", "overheat_40", "hot_share_40"), 1),
+        (("level", "slope_30"), 0),
+    ],
+)
+def test_hazard_rises_with_its_features(names, sign):
     signs = dict(zip(FEATURES, RISES, strict=True))
-    assert signs["reserve_95"] == signs["left_linear_30"] == signs["passage_median"] == -1
-    assert signs["passage_100"] == signs["overheat_40"] == signs["hot_share_40"] == 1
-    assert signs["level"] == signs["slope_30"] == 0
+    assert {signs[name] for name in names} == {sign}
 
 
 NAMES = {name: i for i, name in enumerate(FEATURES)}

@@ -91,12 +91,24 @@ def test_prior_stands_without_messages():
     rule = learn_rules(overheat, np.full_like(message, -1), np.full(8, "XXX"))["XXX"]
     assert rule.excess_k == pytest.approx(PRIOR.excess_k, abs=0.3)
     assert rule.of == PRIOR.of
-    # What is exact counts half; near, missed and spurious are rarer, in this order of likelihood.
-    prior = recalibrate.PERSISTENCE_PRIOR
-    assert (prior[1], prior[2], prior[3], sum(prior.values())) == (0.25, 0.25, 0.5, 1.0)
-    onsets = np.array([[10], [13], [14], [-1], [-1], [5]])
-    message = np.array([[10], [10], [10], [10], [-1], [-1]])
-    np.testing.assert_allclose(np.exp(recalibrate._fit(onsets, message))[:, 0], [0.5, 0.12, 0.03, 0.03, 0.92, 0.08])
+
+
+def test_persistence_prior_favours_two_of_three():
+    """As all else."""
+    assert recalibrate.PERSISTENCE_PRIOR == {1: 0.25, 2: 0.25, 3: 0.5}
+
+
+@pytest.mark.parametrize(
+    ("onset", "message", "likelihood"),
+    [(10, 10, 0.5), (13, 10, 0.12), (14, 10, 0.03), (-1, 10, 0.03), (-1, -1, 0.92), (5, -1, 0.08)],
+    ids=["exact", "near", "far", "missed", "silent", "spurious"],
+)
+def test_onset_likelihood_falls_with_distance(onset, message, likelihood):
+    fit = np.exp(recalibrate._fit(np.array([[onset]]), np.array([[message]])))
+    np.testing.assert_allclose(fit[:, 0], [likelihood])
+
+
+def test_grid_has_every_rule():
     assert len(recalibrate.RULES) == 2 * 3 * 15
 
 
@@ -112,28 +124,41 @@ def test_no_failures_leave_no_correction():
     hazard = np.full((30, SPANS), 0.1)
     done = learn_correction(hazard, np.zeros(30), np.full(30, 400.0), np.zeros(30, bool), np.arange(30))
     assert done == HazardCorrection()
+
+
+def test_no_lives_leave_prior_levels():
     none = np.empty(0)
-    levels = learn_levels(event_by(hazard)[:0], none, np.empty(0, bool), np.empty(0, int), (0.04, 0.5, 0.96))
+    levels = learn_levels(np.empty((0, SPANS + 1)), none, np.empty(0, bool), np.empty(0, int), (0.04, 0.5, 0.96))
     assert levels == (0.04, 0.5, 0.96)
+
+
+def test_stored_correction_may_lack_terms():
     hazard = np.linspace(0.01, 0.4, 3 * SPANS).reshape(3, SPANS)
+    short, full = (HazardCorrection(weights) for weights in ((0.1, -0.2, 0.3), (0.1, -0.2, 0.3, 0.0)))
     reserve = np.array([-0.1, 0.1, np.nan])
-    corrected = HazardCorrection((0.1, -0.2, 0.3))(hazard, reserve)
-    np.testing.assert_array_equal(corrected, HazardCorrection((0.1, -0.2, 0.3, 0.0))(hazard, reserve))
+    np.testing.assert_array_equal(short(hazard, reserve), full(hazard, reserve))
+
+
+def exponential_by(n: int) -> np.ndarray:
+    """Chances of units that live for 120 flights in the mean."""
+    return np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (n, SPANS + 1))
 
 
 def test_levels_are_nominal_under_censoring():
     rng = np.random.default_rng(3)
     death = rng.exponential(120.0, 4000)
     cut = rng.uniform(0.0, 250.0, 4000)
-    by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (4000, SPANS + 1))
-    low, middle, high = learn_levels(by, np.minimum(death, cut), death <= cut, np.arange(4000), prior_lives=0.0)
+    low, middle, high = learn_levels(
+        exponential_by(4000), np.minimum(death, cut), death <= cut, np.arange(4000), prior_lives=0.0
+    )
     assert low == pytest.approx(0.05, abs=0.01)
     assert middle == pytest.approx(0.5, abs=0.03)
     assert high > 0.85  # nothing was seen beyond the cuts: as far as the lives reach
-    rng = np.random.default_rng(4)
-    death = rng.exponential(60.0, 2000)
-    by = np.broadcast_to(event_by(1.0 - np.exp(-np.diff(EDGES)[None, :] / 120.0)), (2000, SPANS + 1))
-    _, middle, _ = learn_levels(by, death, np.ones(2000, bool), np.arange(2000))
+
+
+def test_late_distribution_lowers_levels():
+    death = np.random.default_rng(4).exponential(60.0, 2000)
+    _, middle, _ = learn_levels(exponential_by(2000), death, np.ones(2000, bool), np.arange(2000))
     assert middle == pytest.approx(1.0 - np.exp(-0.5 * np.log(2.0)), abs=0.03)
 
 
@@ -159,29 +184,38 @@ def steady_and_worn(n: int) -> tuple[np.ndarray, ...]:
     return hazard, np.minimum(death, 300.0), death <= 300.0, np.arange(n)
 
 
+LATE = EDGES[1:] > 50.0
+
+
 @pytest.mark.parametrize(("flattened", "slope"), [(1.0, 0.0), (1.5, 0.5)])
 def test_flattened_base_is_corrected(flattened, slope):
-    """The slope is recovered from many lives, none is found where the base is right, and the next 50 flights stay."""
+    """A base that tells units too little apart far ahead; no slope is found where it is right."""
     truth, left, failed, life = steady_and_worn(4000)
-    late = EDGES[1:] > 50.0
-    base = np.where(late, expit(USUAL_ODDS + (logit(truth) - USUAL_ODDS) / flattened), truth)
+    base = np.where(LATE, expit(USUAL_ODDS + (logit(truth) - USUAL_ODDS) / flattened), truth)
     done = learn_correction(base, np.full(left.size, 0.2), left, failed, life)
     assert done.weights[TERMS.index("late_odds")] == pytest.approx(slope, abs=0.12)
-    corrected = done(base[:2], np.full(2, 0.2))
-    np.testing.assert_allclose(logit(corrected), logit(truth[:2]), atol=0.25)
-    alone = HazardCorrection((0.0, 0.0, 0.0, 0.5))(base[:2], np.full(2, 0.2))
-    np.testing.assert_allclose(alone[:, ~late], base[:2, ~late])
+    np.testing.assert_allclose(logit(done(base[:2], np.full(2, 0.2))), logit(truth[:2]), atol=0.25)
+
+
+def test_late_slope_leaves_next_flights():
+    truth, *_ = steady_and_worn(4000)
+    alone = HazardCorrection((0.0, 0.0, 0.0, 0.5))(truth[:2], np.full(2, 0.2))
+    np.testing.assert_allclose(alone[:, ~LATE], truth[:2, ~LATE])
+
+
+def test_limit_without_losses_is_prior():
+    assert learn_limit(np.empty(0), CC.limit) == CC.limit
 
 
 def test_limit_moves_with_messages():
     prior = CC.limit
-    assert learn_limit(np.empty(0), prior) == prior
-    few = learn_limit(np.full(1, 0.15), prior)
-    many = learn_limit(np.full(30, 0.15), prior)
+    few, many = (learn_limit(np.full(n, 0.15), prior) for n in (1, 30))
     assert 0.15 < few.mean < prior.mean
     assert many.mean == pytest.approx(0.15, abs=0.01)
     assert many.sd < few.sd < prior.sd
+
+
+def test_clog_moves_limit_little():
     levels = np.array([0.25, 0.26, 0.24, 0.25])
-    clean = learn_limit(levels, CC.limit)
-    clogged = learn_limit(np.append(levels, 0.65), CC.limit)
+    clean, clogged = (learn_limit(own, CC.limit) for own in (levels, np.append(levels, 0.65)))
     assert abs(clogged.mean - clean.mean) < 0.03

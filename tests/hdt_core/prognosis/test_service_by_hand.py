@@ -170,11 +170,11 @@ def test_digest_names_base_with_terms(winter):
 
 
 def test_message_changes_digest_of_life(winter):
-    heard, unheard = (
+    with_message, without = (
         set(training_digests(replace(winter, messages=rows), "b", "d")[MARCH].ended)
         for rows in (winter.messages, winter.messages.clear())
     )
-    assert len(heard ^ unheard) == 2
+    assert len(with_message ^ without) == 2
 
 
 def scored_days(n: int, loss: list[float]):
