@@ -65,10 +65,10 @@ def test_ordinary_line_changes_no_name():
     ids=["one msn, two names", "undated lines of one tail", "one tail, two msn"],
 )
 def test_contradicting_lines_count_without_msn(lines):
-    found = find_airframes(lines)
+    airframes = find_airframes(lines)
 
-    assert len(found.contradictions) == 1
-    assert found.keys == [own.folder for own in lines]
+    assert len(airframes.contradictions) == 1
+    assert airframes.keys == [own.folder for own in lines]
 
 
 @pytest.mark.parametrize(

@@ -173,36 +173,50 @@ def test_class_of_bad_input(case, good_flight, deliver, read):
         assert faults["row"].null_count() == 0
 
 
-def test_bad_value_costs_itself_alone(good_flight, deliver, read):
+@pytest.fixture
+def good_rows(good_flight, deliver, read) -> pl.DataFrame:
+    """Rows of the good flight."""
+    return read(deliver({CSV: good_flight})).rows
+
+
+def test_bad_value_costs_itself_alone(good_flight, good_rows, deliver, read):
     files = deliver({CSV: by.field(7, "hx_out_degc", b"ERR")(good_flight)})
-    spoiled = read(files).rows.filter(pl.col("row_in_file") == 8)
-    good = read(deliver({CSV: good_flight})).rows.filter(pl.col("row_in_file") == 8)
+    spoiled, good = (rows.filter(row_in_file=8) for rows in (read(files).rows, good_rows))
     assert spoiled["hx_out_k"].item() is None
     assert spoiled.drop("hx_out_k").equals(good.drop("hx_out_k"))
+
+
+def test_bad_files_block_no_good_one(good_flight, good_rows, deliver, read):
     spoils = [c.spoil for c in CASES if c.path == CSV and c is not KEEP]
     bad = {f"AQX/LX-AAA/acms/BAD_{i}.csv": spoil(good_flight) for i, spoil in enumerate(spoils)}
-    alone = read(deliver({CSV: good_flight})).rows
-    together = read(deliver({CSV: good_flight, **bad})).rows.filter(pl.col("file") == CSV)
-    assert together.equals(alone)
+    assert read(deliver({CSV: good_flight, **bad})).rows.filter(file=CSV).equals(good_rows)
 
 
-def test_units_become_si(good_flight, deliver, read):
-    row = read(deliver({CSV: good_flight})).rows.row(0, named=True)
-    # first line: 2616 ft, 15 degC, 14.68 psia, 21.5 %, 116.5 lb/min, 12904 rpm; NIST SP 811 conversion factors
-    assert row["altitude_m"] == pytest.approx(2616 * 0.3048, rel=1e-12)
-    assert row["tat_k"] == pytest.approx(288.15, rel=1e-12)
-    assert row["total_pressure_pa"] == pytest.approx(14.68 * 6.894757e3, rel=1e-7)
-    assert row["ram_door_open"] == pytest.approx(0.215, rel=1e-12)
-    assert row["pack_flow_kg_s"] == pytest.approx(116.5 * 7.559873e-3, rel=1e-6)
-    assert row["cc_speed_rad_s"] == pytest.approx(12904 * 1.047198e-1, rel=1e-6)
+@pytest.mark.parametrize(
+    ("column", "value", "tolerance"),
+    [
+        ("altitude_m", 2616 * 0.3048, 1e-12),
+        ("tat_k", 288.15, 1e-12),
+        ("total_pressure_pa", 14.68 * 6.894757e3, 1e-7),
+        ("ram_door_open", 0.215, 1e-12),
+        ("pack_flow_kg_s", 116.5 * 7.559873e-3, 1e-6),
+        ("cc_speed_rad_s", 12904 * 1.047198e-1, 1e-6),
+    ],
+)
+def test_units_become_si(good_rows, column, value, tolerance):
+    """Of 2616 ft, 15 degC, 14.68 psia, 21.5 %, 116.5 lb/min, 12904 rpm, by the factors of NIST SP 811."""
+    assert good_rows[column][0] == pytest.approx(value, rel=tolerance)
 
 
-def test_local_time_becomes_utc(good_flight, deliver, read):
+def test_local_time_becomes_utc(good_flight, good_rows, deliver, read):
     shifted = read(deliver({CSV: by.retimed(lambda t: t[:-1] + "+02:00")(good_flight)})).rows["time_utc"]
-    assert (read(deliver({CSV: good_flight})).rows["time_utc"] - shifted == timedelta(hours=2)).all()
-    merged = merge_deliveries([read(deliver({HISTORY: by.parquet(good_flight)})).rows], {})
-    assert merged.rows.height == N
-    assert merged.duplicates["n_duplicate"].sum() == N
+    assert (good_rows["time_utc"] - shifted == timedelta(hours=2)).all()
+
+
+def test_history_repeats_the_csv(good_flight, deliver, read):
+    files = deliver({CSV: good_flight, HISTORY: by.parquet(good_flight)})
+    merged = merge_deliveries([read(files).rows], {})
+    assert (merged.rows.height, merged.duplicates["n_duplicate"].sum()) == (N, N)
     assert merged.quarantine.is_empty()
 
 
@@ -210,8 +224,7 @@ def test_leap_day_is_taken_in(good_flight, deliver, read):
     content = good_flight.replace(b"20240525", b"20240229").replace(b"2024-05-25", b"2024-02-29")
     content = content.replace(b"2024-05-26", b"2024-03-01")
     intake = read(deliver({"AQX/LX-AAA/acms/LX-AAA_20240229_04.csv": content}))
-    assert intake.rows.height == N
-    assert intake.quarantine.is_empty()
+    assert (intake.rows.height, intake.quarantine.height) == (N, 0)
 
 
 def test_tail_of_another_operator_is_noted(good_flight, deliver, read):
@@ -219,6 +232,9 @@ def test_tail_of_another_operator_is_noted(good_flight, deliver, read):
     assert intake.rows.height == N
     assert intake.quarantine["reason"].to_list() == ["unknown_tail"]
     assert "BZR" in intake.quarantine["detail"].item()
+
+
+def test_vanished_file_is_noted(good_flight, deliver, read):
     files = deliver({CSV: good_flight})
     Path(files[0].full_path).unlink()
     assert read(files).quarantine["reason"].to_list() == ["cannot_open"]
@@ -227,23 +243,28 @@ def test_tail_of_another_operator_is_noted(good_flight, deliver, read):
 def test_excess_faulty_values_are_counted(good_flight, deliver, read):
     many = good_flight + b"".join(good_flight.splitlines(keepends=True)[1:] * 5)
     faults = read(deliver({CSV: by.column("mach", lambda v: 9.9)(many)})).quarantine
+    (excess,) = faults.filter(pl.col("row").is_null())["detail"]
     assert faults.height == 101
-    assert faults["row"].null_count() == 1
-    assert "152 more" in faults.filter(pl.col("row").is_null())["detail"].item()
+    assert "152 more" in excess
+
+
+ROOT = Path(__file__).parents[3]
 
 
 def test_every_reason_has_a_test():
-    tests = Path(__file__).parents[2]
-    root = Path(__file__).parents[3]
-    folders = tests / "pipelines", tests / "hdt_core/record", root / "extensions/tests"
+    folders = (ROOT / name for name in ("tests/pipelines", "tests/hdt_core/record", "extensions/tests"))
     source = "".join(p.read_text() for folder in folders for p in folder.glob("**/test_*.py"))
     assert [r for r in REASONS if f'"{r}"' not in source] == []
-    page = (Path(__file__).parents[3] / "docs" / "bad-input.md").read_text()
+
+
+def test_every_reason_is_documented():
+    page = (ROOT / "docs/bad-input.md").read_text()
     rows = [f"| `{code}` | {r.scope} | {r.sentence} | {r.remedy} |" for code, r in REASONS.items()]
     assert [line for line in page.splitlines() if line.startswith("| `")] == rows
 
 
 def test_empty_flight_id_has_one_message(good_flight, deliver, read):
+    """Whatever else the file holds."""
     empty = by.field(7, "flight_id", b"")(good_flight)
     details = [
         read(deliver({CSV: content})).quarantine.filter(reason="bad_flight_id")["detail"].to_list()

@@ -46,6 +46,7 @@ def lines(flight: str, n: int, hot: float = 400.0) -> str:
 
 
 def read_balanced(*files: LandingFile) -> list[FileIntake]:
+    """What came of each file, every line accounted for."""
     read = [d for _, d in intake.read_components(list(files), NOW)]
     assert all(d.n_delivered == d.n_loaded + int(d.quarantine["n_rows"].sum()) + d.n_duplicate for d in read)
     return read
@@ -56,14 +57,19 @@ def test_flights_named_alike_stay_apart(put):
     read = read_balanced(*files)
     assert [d.n_loaded for d in read] == [5, 5]
     assert [d.rows.filter(signal="hot_in_k")["value"].unique().to_list() for d in read] == [[400.0], [410.0]]
+
+
+def test_longer_delivery_wins(put):
     short = put("AAA/T1/hx/b.csv", lines("C1", 3, 401))
     long = put("AAA/T1/hx/a.csv", lines("C1", 6))
     read = read_balanced(long, short)
     assert [d.n_loaded for d in read] == [6, 0]
     assert read[1].quarantine["reason"].to_list() == ["conflicting_delivery"] * 3
+
+
+def test_repeated_delivery_counts_once(put):
     files = [put(f"AAA/T1/hx/{n}.csv", lines("C1", 4)) for n in "ab"]
-    read = read_balanced(*files)
-    assert sorted((d.n_loaded, d.n_duplicate) for d in read) == [(0, 4), (4, 0)]
+    assert sorted((d.n_loaded, d.n_duplicate) for d in read_balanced(*files)) == [(0, 4), (4, 0)]
 
 
 def test_parquet_gives_the_same_rows(put, tmp_path):
@@ -104,9 +110,6 @@ def test_unforeseen_failure_costs_one_file(put, monkeypatch):
     read = read_balanced(*files)
     assert [d.n_loaded for d in read] == [4, 0, 4]
     assert read[1].quarantine["reason"].to_list() == ["cannot_process"]
-
-
-NOW = datetime(2026, 1, 1, tzinfo=UTC)
 
 
 def point(name: str, content: object) -> SimpleNamespace:
@@ -169,6 +172,7 @@ def test_folder_without_reader_is_set_aside(bring, tmp_path):
 
 
 def test_recording_without_reader_gives_nothing(bring, tmp_path):
+    """An earlier night had one; the quarantine says why."""
     bring()
     path = "AAA/T-1/recorder/T-1_20240101_01.dat"
     (tmp_path / path).parent.mkdir(parents=True)

@@ -98,11 +98,17 @@ def test_file_ends_as_expected(path, intake, logs):
 
 
 def test_no_other_file_is_reported(landing, intake, logs):
-    assert landing.quarantine.is_empty()
     others = [p for p in (*intake.quarantine["file"], *logs) if p not in EXPECTED and p != "fleet.csv"]
-    assert not others
-    assert logs["fleet.csv"].rows.height == 8
-    assert logs["fleet.csv"].quarantine.is_empty()
+    assert others == []
+    assert landing.quarantine.is_empty()
+
+
+def test_fleet_list_is_read_whole(logs):
+    fleet = logs["fleet.csv"]
+    assert (fleet.rows.height, fleet.quarantine.height) == (8, 0)
+
+
+def test_repeated_rows_are_stored_once(landing, intake):
     merged = merge_deliveries([intake.rows], {f.path: f.received_at for f in landing.files})
     assert dict(merged.duplicates.select("file", "n_duplicate").rows()) == {
         "AQX/LX-AAA/acms/LX-AAA_20240606_02.csv": 48,
@@ -113,6 +119,7 @@ def test_no_other_file_is_reported(landing, intake, logs):
 
 
 def test_flight_of_howto_is_taken_in(monkeypatch):
+    """As the recorder gave it."""
     monkeypatch.chdir(PROJECT)
     page = walk("raw-data.md")
     written = list_landing(page["landing"])

@@ -106,6 +106,9 @@ def test_sample_fleet_has_no_fault(read):
     intake = read(files)
     assert intake.delivered["n_delivered"].sum() == 395_012
     assert intake.quarantine.is_empty()
+
+
+def test_batch_changes_no_row(read):
     files = [f for f in list_landing(SAMPLES).files if f.tail == "A9-BAB" and f.kind == "acms"]
     together = read(files).rows
     alone = pl.concat([read(f).rows for f in files])

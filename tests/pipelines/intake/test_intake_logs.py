@@ -1,6 +1,7 @@
 """What people write: messages, work, the fleet list, planned checks, costs and findings; a fault named by its place."""
 
 import datetime as dt
+from collections.abc import Callable
 
 import polars as pl
 import pytest
@@ -73,6 +74,12 @@ def test_reversed_dates_cost_their_row(deliver, now):
     assert fault == ("fleet.csv", 2, "valid_from, valid_to", "ends_before_start")
 
 
+@pytest.fixture
+def read_work(deliver, now) -> Callable[[str], FileIntake]:
+    """Read a log of work."""
+    return lambda text: read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": text.encode()})[0], now)
+
+
 def test_quoted_line_breaks_become_spaces(deliver, now):
     lines = '2024-05-02T18:51:18Z,,1,21-52-HXTEMP,"HOT,\n\nHIGH"\n2024-05-03T18:51:18Z,,2,21-52-HXTEMP,5" duct\n'
 
@@ -82,14 +89,10 @@ def test_quoted_line_breaks_become_spaces(deliver, now):
 
 
 @pytest.mark.parametrize(("status", "done"), [("", 1), ("Closed", 1), ("CANCELLED", 0), ("deferred", 0)])
-def test_status_decides_if_work_counts(status, done, deliver, now):
-    line = f"2024-05-03,1,HX,REPLACED,,WO1,{status}\n"
-    log = (WORK.strip() + ",status\n" + line).encode()
+def test_status_decides_if_work_counts(status, done, read_work):
+    rows = read_work(WORK.strip() + f",status\n2024-05-03,1,HX,REPLACED,,WO1,{status}\n").rows
 
-    read = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": log})[0], now)
-
-    assert read.rows.filter(is_done()).height == done
-    assert read.rows.height == 1
+    assert (rows.filter(is_done()).height, rows.height) == (done, 1)
 
 
 @pytest.mark.parametrize(("kind", "content", "reason"), LOGS, ids=[f"{k} {r} {i}" for i, (k, _, r) in enumerate(LOGS)])
@@ -101,19 +104,27 @@ def test_log_ends_as_expected(kind, content, reason, deliver, now):
     assert log.n_delivered == log.rows.height + log.n_duplicate + log.quarantine["n_rows"].sum()
 
 
-def test_repeated_work_counts_once(deliver, now):
-    row = "2024-05-03,1,HX,REPLACED,FOULED,WO1\n"
-    content = WORK + 3 * row
-    log = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now)
-    assert (log.rows.height, log.n_duplicate, log.n_delivered) == (1, 2, 3)
-    lines = ["2024-05-03", "2024-05-04T00:30:00+02:00", "2024-05-04T14:20:00Z"]
-    content = WORK + "".join(f"{line},1,HX,REPLACED,FOULED,WO{k}\n" for k, line in enumerate(lines))
-    rows = read_maintenance(deliver({"AQX/LX-AAA/maintenance.csv": content.encode()})[0], now).rows.sort("reference")
-    assert [str(day) for day in rows["done_on"]] == ["2024-05-03", "2024-05-03", "2024-05-04"]
-    assert [at and f"{at:%d %H:%M}" for at in rows["done_at"]] == [None, "03 22:30", "04 14:20"]
+def test_repeated_work_counts_once(read_work):
+    work = read_work(WORK + 3 * "2024-05-03,1,HX,REPLACED,FOULED,WO1\n")
+    assert (work.rows.height, work.n_duplicate, work.n_delivered) == (1, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("written", "day", "time"),
+    [
+        ("2024-05-03", "2024-05-03", None),
+        ("2024-05-04T00:30:00+02:00", "2024-05-03", "03 22:30"),
+        ("2024-05-04T14:20:00Z", "2024-05-04", "04 14:20"),
+    ],
+)
+def test_work_has_day_or_time(read_work, written, day, time):
+    (row,) = read_work(WORK + f"{written},1,HX,REPLACED,FOULED,WO1\n").rows.to_dicts()
+    assert str(row["done_on"]) == day
+    assert (row["done_at"] and f"{row['done_at']:%d %H:%M}") == time
 
 
 def test_fleet_list_judges_work(deliver, now):
+    """It says which packs there are, and since when."""
     fleet = b"operator,tail,packs,delivered_on\nAQX,LX-AAA,3,2014-06-01\n"
     content = WORK + "2024-05-03,3,HX,REPLACED,FOULED,WO1\n2013-05-03,1,HX,CLEANED,,WO2\n2024-05-04,4,HX,CLEANED,,WO3\n"
     files = deliver({"fleet.csv": fleet, "AQX/LX-AAA/maintenance.csv": content.encode()})
@@ -124,20 +135,20 @@ def test_fleet_list_judges_work(deliver, now):
     assert "2013-05-03" in log.quarantine.filter(reason="before_delivery")["detail"].item()
 
 
-def test_bad_log_leaves_stored_rows(deliver, now):
-    path = "AQX/LX-AAA/maintenance.csv"
-    stored = read_maintenance(deliver({path: (WORK + "2024-05-03,1,HX,REPLACED,,WO1\n").encode()})[0], now).rows
+@pytest.fixture
+def stored(read_work) -> pl.DataFrame:
+    """Rows that an earlier night stored."""
+    return read_work(WORK + "2024-05-03,1,HX,REPLACED,,WO1\n").rows
 
-    again = read_maintenance(deliver({path: (WORK + "2024-05-03,9,HX,REPLACED,,WO1\n").encode()})[0], now)
+
+def test_bad_log_leaves_stored_rows(read_work, stored):
+    again = read_work(WORK + "2024-05-03,9,HX,REPLACED,,WO1\n")
 
     assert or_stored(again, stored).rows.equals(stored)
 
 
-def test_good_line_replaces_stored_rows(deliver, now):
-    path = "AQX/LX-AAA/maintenance.csv"
-    stored = read_maintenance(deliver({path: (WORK + "2024-05-03,1,HX,REPLACED,,WO1\n").encode()})[0], now).rows
-
-    again = read_maintenance(deliver({path: (WORK + "2024-05-04,1,HX,REPLACED,,WO2\n").encode()})[0], now)
+def test_good_line_replaces_stored_rows(read_work, stored):
+    again = read_work(WORK + "2024-05-04,1,HX,REPLACED,,WO2\n")
 
     assert or_stored(again, stored).rows["reference"].to_list() == ["WO2"]
 
@@ -175,11 +186,10 @@ def test_bad_checks_are_quarantined(read_plan, kind):
     assert read.n_delivered == 5 == read.n_loaded + read.quarantine["n_rows"].sum()
 
 
-def test_parquet_plan_may_hold_dates(read_plan):
-    day = dt.date(2024, 7, 1)
-    for dates in ([day, None], [dt.datetime(2024, 7, 1), dt.datetime(2024, 7, 2)]):
-        frame = pl.DataFrame({"operator": ["AAA"] * 2, "tail": ["T-1"] * 2, "date": dates})
-        assert read_plan("checks.parquet", frame.write_parquet).rows["planned_on"][0] == day
+@pytest.mark.parametrize("dates", [[dt.date(2024, 7, 1), None], [dt.datetime(2024, 7, 1), dt.datetime(2024, 7, 2)]])
+def test_parquet_plan_may_hold_dates(read_plan, dates):
+    frame = pl.DataFrame({"operator": ["AAA"] * 2, "tail": ["T-1"] * 2, "date": dates})
+    assert read_plan("checks.parquet", frame.write_parquet).rows["planned_on"][0] == dt.date(2024, 7, 1)
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"operator,tail,date\n", b"PAR1" + bytes(40) + b"PAR1"])
@@ -189,14 +199,16 @@ def test_broken_plan_gives_no_check(read_plan, content):
     assert read.quarantine["reason"].to_list() == ["cannot_read_parquet"]
 
 
-def test_home_costs_replace_defaults(tmp_path):
+def test_costs_are_defaults_at_first(tmp_path):
     costs = read_costs(tmp_path)
     assert set(costs["source"]) == {"default"}
     assert costs.filter(component="HX", item="wash")["cost"].item() == DEFAULTS["HX"]["wash"]
+
+
+def test_home_costs_replace_defaults(tmp_path):
     (tmp_path / NAME).write_text('currency = "EUR"\nhorizon_days = 14\n[HX]\nwash = 1234.5\n')
     costs = read_costs(tmp_path)
-    assert set(costs["currency"]) == {"EUR"}
-    assert set(costs["horizon_days"]) == {14}
+    assert costs.select("currency", "horizon_days").unique().rows() == [("EUR", 14)]
     assert costs.filter(component="HX", item="wash").select("cost", "source").rows() == [(1234.5, NAME)]
     assert costs.filter(component="HX", item="replace")["source"].item() == "default"
 
@@ -215,12 +227,12 @@ def test_home_costs_replace_defaults(tmp_path):
     ],
 )
 def test_bad_cost_is_named(tmp_path, text, message):
+    """With file and key; and no other cost counts."""
     (tmp_path / NAME).write_text(text)
     with pytest.raises(CostError, match=message):
         read_costs(tmp_path)
     costs, (fault,) = costs_or_fault(tmp_path)
-    assert costs.is_empty()
-    assert fault.reason == "bad_cost"
+    assert (costs.height, fault.reason) == (0, "bad_cost")
 
 
 DAY = dt.date(2024, 6, 19)
@@ -255,22 +267,36 @@ def test_work_in_both_counts_once():
     finding = case(action="REPLACED", finding="FOULED", done_on=DAY - dt.timedelta(days=2))
     (row,) = with_findings(log(action="REPLACED", finding=None), cases(finding)).to_dicts()
     assert (row["done_on"], row["finding"], row["reference"], row["closes_alert_id"]) == (DAY, "FOULED", "WO1", "a1")
-    assert with_findings(log(action="CLEANED"), cases(finding)).height == 2, "other work"
-    assert with_findings(log(action="REPLACED", done_on=DAY + dt.timedelta(days=9)), cases(finding)).height == 2
+
+
+@pytest.mark.parametrize("line", [{"action": "CLEANED"}, {"action": "REPLACED", "done_on": DAY + dt.timedelta(days=9)}])
+def test_other_work_stays_apart(line):
+    finding = case(action="REPLACED", finding="FOULED", done_on=DAY - dt.timedelta(days=2))
+    assert with_findings(log(**line), cases(finding)).height == 2
 
 
 def test_last_answer_counts():
     again = case(2, finding="FOULED", action="CLEANED")
     assert with_findings(log().clear(), cases(case(), again))["finding"].to_list() == ["FOULED"]
+
+
+def test_reopened_case_has_no_finding():
     assert with_findings(log().clear(), cases(case(), case(2, "reopen"))).is_empty()
 
 
+def digests(*rows: dict) -> dict[str, str]:
+    """Digests of the cases and of their findings."""
+    return {kind: digest for _, _, _, kind, _, _, digest in case_files(cases(*rows))}
+
+
+def test_acknowledgement_is_no_finding():
+    assert set(digests(case(kind="acknowledge"))) == {"cases"}
+
+
 def test_only_findings_renew_the_twin():
-    """An acknowledgement is on record without a night that makes the twin again."""
-    acknowledged = {kind: digest for _, _, _, kind, _, _, digest in case_files(cases(case(kind="acknowledge")))}
-    assert set(acknowledged) == {"cases"}
-    before = {f[3]: f[6] for f in case_files(cases(case(kind="acknowledge"), case(2)))}
-    more = {f[3]: f[6] for f in case_files(cases(case(kind="acknowledge"), case(2), case(3, "watch")))}
-    taken_back = {f[3]: f[6] for f in case_files(cases(case(), case(2), case(3, "reopen")))}
-    assert before["findings"] == more["findings"] != taken_back["findings"]
+    """What changes the cases alone is on record without a night that makes the twin again."""
+    before = digests(case(kind="acknowledge"), case(2))
+    more = digests(case(kind="acknowledge"), case(2), case(3, "watch"))
+    reopened = digests(case(), case(2), case(3, "reopen"))
+    assert before["findings"] == more["findings"] != reopened["findings"]
     assert before["cases"] != more["cases"]

@@ -97,7 +97,7 @@ def growing(good_flight, read_zone):
 @settings(max_examples=60, deadline=None)
 @given(cut=st.integers(1, 2500))
 def test_growing_file_adds_nothing_false(growing, cut):
-    """Wherever the reader met its end; and the whole file after it loses and doubles nothing."""
+    """What is read of it stands in the whole file, too, wherever its end was; which then loses and doubles nothing."""
     read_part, whole = growing
     part = read_part(cut)
     assert part.rows.join(whole.rows, on=part.rows.columns, how="anti", nulls_equal=True).is_empty()
@@ -107,23 +107,33 @@ def test_growing_file_adds_nothing_false(growing, cut):
     assert merged.quarantine.is_empty()
 
 
-def test_fuller_delivery_wins(good_flight, deliver, read):
-    poorer = field(5, "hx_out_degc", b"")(good_flight)
-    for pair in ({CSV: poorer, COPY: good_flight}, {CSV: good_flight, COPY: poorer}):
-        merged = merge_deliveries([read(deliver(pair)).rows], {})
-        assert merged.rows["hx_out_k"].null_count() == 0
-        assert merged.quarantine.is_empty()
-
-
-def test_rounded_numbers_are_the_same(good_flight, deliver, read):
-    rows = read(deliver({CSV: good_flight})).rows
-    names = [c.si_name for c in SIGNAL_COLUMNS]
-    rounded = rows.with_columns(pl.col(names).cast(pl.Float32).cast(pl.Float64), pl.lit(COPY).alias("file"))
-    merged = merge_deliveries([rows, rounded], {})
-    assert merged.rows.height == 42
+@pytest.mark.parametrize(("fuller", "poorer"), [(COPY, CSV), (CSV, COPY)])
+def test_fuller_delivery_wins(good_flight, deliver, read, fuller, poorer):
+    files = deliver({fuller: good_flight, poorer: field(5, "hx_out_degc", b"")(good_flight)})
+    merged = merge_deliveries([read(files).rows], {})
+    assert merged.rows["hx_out_k"].null_count() == 0
     assert merged.quarantine.is_empty()
-    both = merge_deliveries([rows, rows.with_columns(pl.lit("cpl").alias("source"))], {})
-    assert both.rows.height == 84
+
+
+@pytest.fixture
+def rows(good_flight, deliver, read) -> pl.DataFrame:
+    """Rows of the good flight."""
+    return read(deliver({CSV: good_flight})).rows
+
+
+def test_rounded_numbers_are_the_same(rows):
+    """As they are where they went through 32 bits."""
+    names = [c.si_name for c in SIGNAL_COLUMNS]
+    rounded = rows.with_columns(pl.col(names).cast(pl.Float32).cast(pl.Float64), file=pl.lit(COPY))
+    merged = merge_deliveries([rows, rounded], {})
+    assert (merged.rows.height, merged.quarantine.height) == (42, 0)
+
+
+def test_log_is_another_record(rows):
+    assert merge_deliveries([rows, rows.with_columns(source=pl.lit("cpl"))], {}).rows.height == 84
+
+
+def test_no_rows_merge_to_none(rows):
     assert all(f.is_empty() for f in merge_deliveries([rows.clear()], {}))
 
 

@@ -10,7 +10,7 @@ SECOND = "T-1_20240302_01"
 
 
 @pytest.mark.parametrize("reason", ["not_fitted", "lower_rate", "one_channel"])
-def test_channel_is_noted_with_its_first_file(reason):
+def test_channel_note_has_first_file(reason):
     channel = OWN | {"source": "acms", "signal": "hx_out_k", "reason": reason, "n_readings": 20}
     delivery = AIRCRAFT | {"delivered": 20, "loaded": 20, "quarantined": 0, "duplicate": 0}
     con = catalog(
