@@ -57,39 +57,65 @@ def fresh_home(template_home, tmp_path) -> Path:
 def page(home):
     """The page as somebody gets it through the site's proxy."""
     (home / FILE).unlink(missing_ok=True)
+    return lambda name: by_proxy(home, name)
+
+
+def by_proxy(home: Path, name: str) -> Client:
     app = application(home, LOCAL, ProxyHeader(home, HEADER, [ip_network("127.0.0.1")]))
-    return lambda name: Client(app, {HEADER: name})
+    return Client(app, {HEADER: name})
 
 
-def say(client: Client, alert: str, kind: str, line: int = 0, **fields: str):
+def page_of(home: Path, name: str = "Eng", **fields: object) -> Client:
+    """The page of somebody who has signed in."""
+    return Client(application(home, LOCAL, lambda request: Person(name, **fields)))
+
+
+def change(client: Client, alert: str, kind: str, line: int = 0, **fields: str):
     return client.post(f"/case/{alert}", data={"kind": kind, "seen": str(line)} | fields)
 
 
-def test_stranger_sees_nothing(page, home):
-    client = page("Eve")
-    for path in ("/", "/case/wear", "/?all", "/docs"):
-        answer = client.get(path)
-        assert answer.status_code == 403
-        assert "T-1" not in answer.text
-    assert say(client, "wear", "acknowledge").status_code == 403
-    viewer = page("Vi")
-    assert "Change this case" not in viewer.get("/case/wear").text
-    assert say(viewer, "wear", "acknowledge").status_code == 403
-    assert history_of(home, find_case(home, "wear")) == []
+def history(home: Path, alert: str = "wear") -> list[dict]:
+    return history_of(home, find_case(home, alert))
+
+
+@pytest.mark.parametrize("path", ["/", "/case/wear", "/?all", "/docs"])
+def test_stranger_sees_nothing(page, path):
+    answer = page("Eve").get(path)
+    assert answer.status_code == 403
+    assert "T-1" not in answer.text
+
+
+@pytest.mark.parametrize("name", ["Eve", "Vi"])
+def test_only_engineer_changes_a_case(page, home, name):
+    """Neither who has no role nor a viewer."""
+    assert change(page(name), "wear", "acknowledge").status_code == 403
+    assert history(home) == []
+
+
+def test_viewer_sees_no_form(page):
+    assert "Change this case" not in page("Vi").get("/case/wear").text
 
 
 def test_engineer_closes_a_case(page, home):
     client = page("Eng")
     assert "T-1 pack 1 (left)" in client.get("/").text
-    assert "acknowledged" in say(client, "wear", "acknowledge").text
-    assert "assigned to Bo" in say(client, "wear", "assign", 1, assignee="Bo").text
-    done = say(client, "wear", "close", 2, finding="clean", on="2024-04-09", note="looked")
+    assert "acknowledged" in change(client, "wear", "acknowledge").text
+    assert "assigned to Bo" in change(client, "wear", "assign", 1, assignee="Bo").text
+    done = change(client, "wear", "close", 2, finding="clean", on="2024-04-09", note="looked")
     assert "no fault found, inspected on 2024-04-09" in done.text
     case = find_case(home, "wear")
     assert (case["state"], case["found_by"], case["owner"]) == ("closed", "Eng", "Bo")
     assert "assigned to Bo" not in client.get("/").text
-    assert client.get("/docs").status_code == 404
-    assert "Sign out" not in client.get("/").text, "who comes by the proxy has no session of ours to end"
+
+
+def test_page_has_no_other_addresses(page):
+    assert page("Eng").get("/docs").status_code == 404
+
+
+def test_proxy_page_has_no_logout(page):
+    """Who comes by the proxy has no session of ours to end."""
+    client = page("Eng")
+    assert "Sign out" not in client.get("/").text
     assert client.post("/logout").status_code == 404
 
 
@@ -97,27 +123,34 @@ def test_changes_fold_into_lines(fresh_home, monkeypatch):
     """The packs in need of attention stay on the first screen, however much changed."""
     gaps = [{"operator": "AAA", "tail": f"T-{n}", "gap": "never_heard", "n_flights": None} for n in range(9)]
     monkeypatch.setattr("pipelines.web.casebook.changes_since", lambda _: Digest("then", "now", {"gap": gaps}))
-    app = application(fresh_home, LOCAL, ProxyHeader(fresh_home, HEADER, [ip_network("127.0.0.1")]))
-    text = Client(app, {HEADER: "Eng"}).get("/").text
+    text = by_proxy(fresh_home, "Eng").get("/").text
     line, _, opened = text.partition("<details><summary>Data gaps: ")[2].partition("</summary>")
     assert line == ", ".join(f"AAA T-{n}" for n in range(9))
     assert opened.count("<li><b>AAA T-") == 9
 
 
-def test_operator_sees_own_cases(page, home):
+@pytest.mark.parametrize(
+    ("name", "path", "own", "foreign"),
+    [("Own", "/?all", "T-1", "BBB"), ("Else", "/", "T-9", "T-1"), ("Eng", "/", "BBB", None)],
+)
+def test_operator_sees_own_cases(page, name, path, own, foreign):
+    text = page(name).get(path).text
+    assert own in text
+    assert foreign is None or foreign not in text
+
+
+def test_foreign_case_is_hidden(page, home):
     client = page("Own")
-    assert "BBB" not in client.get("/?all").text
-    other = page("Else").get("/").text
-    assert "T-9" in other
-    assert "T-1" not in other
-    for answer in (client.get("/case/other"), say(client, "other", "acknowledge"), client.get("/case/none")):
+    for answer in (client.get("/case/other"), change(client, "other", "acknowledge"), client.get("/case/none")):
         assert answer.status_code == 404
         assert "T-9" not in answer.text
         assert "There is no such case." in answer.text
     assert client.get("/case/othe").status_code == 404, "nor by a part of the id"
-    assert history_of(home, find_case(home, "other")) == []
-    assert say(client, "wear", "acknowledge").status_code == 200
-    assert "BBB" in page("Eng").get("/").text
+    assert history(home, "other") == []
+
+
+def test_operator_changes_own_case(page):
+    assert change(page("Own"), "wear", "acknowledge").status_code == 200
 
 
 def test_first_table_links_to_cases(page):
@@ -127,13 +160,16 @@ def test_first_table_links_to_cases(page):
     assert re.findall(r'<a href="([^"]+)"><b>([^<]+)</b>', first) == links
     assert "20\N{NO-BREAK SPACE}% (18 to 22)" in first
     assert "style=" not in first
-    for path in ("/", "/case/wear"):
-        assert re.findall(r'(?:src|href|action)="(?!/|data:)', page("Eng").get(path).text) == [], "no other machine"
+
+
+@pytest.mark.parametrize("path", ["/", "/case/wear"])
+def test_page_needs_no_other_machine(page, path):
+    assert re.findall(r'(?:src|href|action)="(?!/|data:)', page("Eng").get(path).text) == []
 
 
 def test_night_shows_at_once(tmp_path):
     home = case_home(tmp_path / "home")
-    client = Client(application(home, LOCAL, lambda request: Person("Eng")))
+    client = page_of(home)
     assert "20\N{NO-BREAK SPACE}% (18 to 22)" in client.get("/").text
     publish_losses(home, 0.3)
     assert "30\N{NO-BREAK SPACE}% (28 to 32)" in client.get("/").text
@@ -154,21 +190,20 @@ def with_withdrawn(fresh_home):
 
 @pytest.mark.parametrize("name", ["first", "last"])
 def test_withdrawn_link_still_answers(with_withdrawn, name):
-    client = Client(application(with_withdrawn, LOCAL, lambda request: Person("Eng")))
-    answer = client.get(f"/case/{name}")
+    answer = page_of(with_withdrawn).get(f"/case/{name}")
     assert answer.status_code == 200
-    assert f"withdrawn by the night of {datetime.now(UTC):%Y-%m-%d}" in answer.text
-    assert "raised 2024-03-05" in answer.text
-    assert "look at it" in answer.text
+    for words in (f"withdrawn by the night of {datetime.now(UTC):%Y-%m-%d}", "raised 2024-03-05", "look at it"):
+        assert words in answer.text
 
 
 def test_withdrawn_case_takes_no_line(with_withdrawn):
     lines = CaseLog(with_withdrawn).entries().height
-    client = Client(application(with_withdrawn, LOCAL, lambda request: Person("Eng")))
-    assert say(client, "first", "acknowledge", lines).status_code == 409
+    assert change(page_of(with_withdrawn), "first", "acknowledge", lines).status_code == 409
     assert CaseLog(with_withdrawn).entries().height == lines
-    other = Client(application(with_withdrawn, LOCAL, lambda request: Person("Else", operators=("BBB",))))
-    assert other.get("/case/first").status_code == 404
+
+
+def test_withdrawn_case_stays_private(with_withdrawn):
+    assert page_of(with_withdrawn, "Else", operators=("BBB",)).get("/case/first").status_code == 404
 
 
 def test_foreign_form_changes_nothing(page, home):
@@ -176,49 +211,50 @@ def test_foreign_form_changes_nothing(page, home):
     good = {"kind": "acknowledge", "seen": "0"}
     assert client.post("/case/wear", data=good, headers={"origin": "http://evil.example"}).status_code == 403
     assert client.get("/case/wear", params=good).status_code == 200
-    assert history_of(home, find_case(home, "wear")) == []
+    assert history(home) == []
     assert client.post("/case/wear", data=good).status_code == 200
 
 
 def test_token_opens_a_session(home):
+    """Lines bear the account's name; signing out ends it."""
     (home / FILE).unlink(missing_ok=True)
     token = LocalToken(Person("ada"))
     client = Client(application(home, LOCAL, token))
     assert 'name="token"' in client.get("/").text
     client.get(f"/?token={token.token}")
     assert "Sign out" in client.get("/").text
-    say(client, "wear", "acknowledge")
-    assert history_of(home, find_case(home, "wear"))[0]["person"] == "ada"
+    change(client, "wear", "acknowledge")
+    assert history(home)[0]["person"] == "ada"
     assert client.post("/logout").status_code == 200
     assert client.get("/").status_code == 401
 
 
 def test_notes_are_escaped(page):
+    """As is what the catalog holds."""
     client = page("Eng")
-    say(client, "wear", "acknowledge", note=HOSTILE)
-    say(client, "wear", "assign", 1, assignee='"><img src=x>')
-    for path in ("/", "/case/wear"):
-        answer = client.get(path)
-        assert "<script" not in answer.text
-        assert "<img" not in answer.text
-        assert "&lt;script&gt;alert(1)&lt;/script&gt; {{ 7 * 7 }}" in answer.text or path == "/"
-        assert "<b>wash</b>" not in answer.text, "nor what the catalog holds"
-        policy = answer.headers["content-security-policy"]
-        assert "default-src 'none'" in policy
-        assert "script-src" not in policy
-        assert answer.headers["cache-control"] == "no-store"
-        assert answer.headers["x-content-type-options"] == "nosniff"
+    change(client, "wear", "acknowledge", note=HOSTILE)
+    change(client, "wear", "assign", 1, assignee='"><img src=x>')
+    cases, case = (client.get(path).text for path in ("/", "/case/wear"))
+    assert [tag for tag in ("<script", "<img", "<b>wash</b>") if tag in cases + case] == []
+    assert "&lt;script&gt;alert(1)&lt;/script&gt; {{ 7 * 7 }}" in case
+
+
+@pytest.mark.parametrize("path", ["/", "/case/wear"])
+def test_headers_forbid_scripts(page, path):
+    headers = page("Eng").get(path).headers
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "script-src" not in headers["content-security-policy"]
+    assert (headers["cache-control"], headers["x-content-type-options"]) == ("no-store", "nosniff")
 
 
 def test_late_change_names_the_first(page, home):
-    one = page("Eng")
     two = page("Own")
-    assert say(one, "wear", "assign", 0, assignee="Eng").status_code == 200
-    late = say(two, "wear", "assign", 0, assignee="Own")
+    assert change(page("Eng"), "wear", "assign", 0, assignee="Eng").status_code == 200
+    late = change(two, "wear", "assign", 0, assignee="Own")
     assert late.status_code == 409
     assert "Nothing was written: Eng changed this case in the meantime" in late.text
     assert find_case(home, "wear")["owner"] == "Eng"
-    assert say(two, "wear", "assign", 1, assignee="Own").status_code == 200
+    assert change(two, "wear", "assign", 1, assignee="Own").status_code == 200
 
 
 @pytest.mark.parametrize(
@@ -233,8 +269,8 @@ def test_late_change_names_the_first(page, home):
     ],
 )
 def test_senseless_form_is_refused(page, home, kind, fields, status):
-    assert say(page("Eng"), "wear", kind, **({"seen": 0} | fields)).status_code == status
-    assert history_of(home, find_case(home, "wear")) == []
+    assert change(page("Eng"), "wear", kind, **({"seen": 0} | fields)).status_code == status
+    assert history(home) == []
 
 
 VALUES = ("", "0", "-1", "1e999", "9" * 5_000, "NaN", "9999-12-31", "0001-01-01", "0001-01-01T00:00+23:59",
@@ -246,19 +282,24 @@ FIELDS = {"close": ("finding", "action", "on", "reference"), "mute": ("until", "
 SOUND = {"seen": "7", "note": "n", "assignee": "Bo", "until": "2024-06-19", "finding": "clean", "action": "inspected"}
 
 
-def test_odd_form_breaks_nothing(page, home):
+def test_odd_values_break_nothing(page, home):
     client = page("Eng")
     for (kind, fields), value in itertools.product(FIELDS.items(), VALUES):
         for field in fields:
             answer = client.post("/case/wear", data={"kind": kind} | SOUND | {field: value})
             sound = (kind, field, value) == ("watch", "seen", "0")
             assert answer.status_code in ({200} if sound else {400, 409, 413, 422}), (kind, field, value)
-    assert len(history_of(home, find_case(home, "wear"))) == 1
-    for place, value in itertools.product(("/", "/case/", "/case/wear/", "//", "/?all=", "/?token="), VALUES):
+    assert len(history(home)) == 1
+
+
+@pytest.mark.parametrize("method", ["GET", "POST"])
+@pytest.mark.parametrize("place", ["/", "/case/", "/case/wear/", "//", "/?all=", "/?token="])
+def test_odd_address_breaks_nothing(page, place, method):
+    client = page("Eng")
+    for value in VALUES:
         where = (place + quote(value, errors="surrogatepass")).encode()[:20_000]
-        for method in ("GET", "POST"):
-            answer = client.ask(method, httpx.URL("http://127.0.0.1").copy_with(raw_path=where))
-            assert answer.status_code < 500, (method, where)
+        answer = client.ask(method, httpx.URL("http://127.0.0.1").copy_with(raw_path=where))
+        assert answer.status_code < 500, where
 
 
 FORM = "application/x-www-form-urlencoded"
@@ -283,18 +324,22 @@ def test_odd_body_breaks_nothing(page, home, kind, body):
     client = page("Eng")
     answer = client.post("/case/wear", content=body, headers={b"content-type": kind.encode("latin-1")})
     assert answer.status_code == 400
-    assert history_of(home, find_case(home, "wear")) == []
+    assert history(home) == []
 
 
-def test_damaged_home_gets_one_line(fresh_home):
-    client = Client(application(fresh_home, LOCAL, lambda request: Person("Eng")))
-    assert say(client, "wear", "acknowledge").status_code == 200
-    for what in (FILE, CATALOG):
-        (fresh_home / what).write_bytes(b"x" * 100)
-        answer = client.get("/")
-        assert answer.status_code == 503
-        assert re.search(r'role="status">[^\n]+</p>', answer.text)
-        (fresh_home / what).unlink()
+@pytest.mark.parametrize("name", [FILE, CATALOG])
+def test_damaged_home_gets_one_line(fresh_home, name):
+    client = page_of(fresh_home)
+    assert client.get("/").status_code == 200
+    (fresh_home / name).write_bytes(b"x" * 100)
+    answer = client.get("/")
+    assert answer.status_code == 503
+    assert re.search(r'role="status">[^\n]+</p>', answer.text)
+
+
+def test_home_without_catalog_is_unavailable(fresh_home):
+    client = page_of(fresh_home)
+    (fresh_home / CATALOG).unlink()
     assert client.get("/case/wear").status_code == 503
 
 

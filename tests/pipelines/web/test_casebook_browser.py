@@ -41,7 +41,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def enter(browser: Browser, address: str):
-    """A window of somebody whom the proxy names; what its console said and what it fetched is looked at in the end."""
+    """A window of somebody whom the proxy names; in the end its console must be clean, nothing foreign fetched."""
     noted: list[str] = []
 
     def of(name: str, width: int = 1280) -> Page:

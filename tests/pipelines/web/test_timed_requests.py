@@ -75,13 +75,13 @@ def test_second_unfinished_request_is_closed(port):
 
 
 def test_drip_of_bytes_is_closed(port):
-    sent = 0
+    n_bytes = 0
     with socket.create_connection(("127.0.0.1", port), timeout=20) as client, suppress(ConnectionError):
-        for sent in range(200):  # noqa: B007  # read below
+        for n_bytes in range(200):  # noqa: B007  # read below
             client.sendall(b"x")
             time.sleep(REQUEST_S / 4)
 
-    assert sent < 100
+    assert n_bytes < 100
 
 
 def test_slow_answer_is_awaited(port):
