@@ -30,8 +30,8 @@ def report(sample_home: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture
-def opened(browser: Browser, report: str):
-    """The page in a window of a width, and what its console said."""
+def open_page(browser: Browser, report: str):
+    """The page in a window of a width, whose console must stay clean."""
     pages: list[Page] = []
     console: list[str] = []
 
@@ -50,28 +50,45 @@ def opened(browser: Browser, report: str):
     assert console == []
 
 
-def ranked(page: Page) -> list[str]:
+def ranking(page: Page) -> list[str]:
     return page.locator("#tonight tbody tr:not([hidden]) td:nth-child(1) a").all_text_contents()
 
 
-@pytest.mark.parametrize("width", [390, 800, 1280])
-def test_page_fits_the_window(opened, width):
-    page = opened(width)
+@pytest.fixture(params=[390, 800, 1280])
+def page(open_page, request) -> Page:
+    """The page in windows from a phone's to a desk's."""
+    return open_page(request.param)
+
+
+def test_page_fits_the_window(page):
     assert page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth") <= 0
-    assert len(ranked(page)) == 4
-    if width >= 800:  # the ranking is a table
-        assert page.locator("#tonight thead").first.evaluate("head => head.getBoundingClientRect().height") > 10
-        assert page.locator("#tonight td").first.evaluate("cell => getComputedStyle(cell).display") == "table-cell"
+    assert len(ranking(page)) == 4
+
+
+@pytest.mark.parametrize("width", [800, 1280])
+def test_ranking_is_a_table(open_page, width):
+    page = open_page(width)
+    assert page.locator("#tonight thead").first.evaluate("head => head.getBoundingClientRect().height") > 10
+    assert page.locator("#tonight td").first.evaluate("cell => getComputedStyle(cell).display") == "table-cell"
+
+
+def test_search_filters_every_part(page):
     page.fill("#find", "a9-bac 2")
-    assert ranked(page) == ["A9-BAC pack 2 (right)"]
+    assert ranking(page) == ["A9-BAC pack 2 (right)"]
     assert page.locator("#tracks article:not([hidden])").count() == 1
-    # closed alerts lie folded, on paper too, until something among them is looked for
-    folds = page.locator("#alerts details", has=page.locator("[data-find]"))
-    assert folds.evaluate_all("all => all.map((d) => d.open)") == [True]
     page.fill("#find", "nothing of that name")
     assert page.locator("#tonight [data-group]:visible").count() == 0
-    page.fill("#find", "")
-    assert folds.evaluate_all("all => all.map((d) => d.open)") == [False]
+
+
+def test_search_opens_closed_alerts(page):
+    """They lie folded, on paper too, until something among them is looked for."""
+    folds = page.locator("#alerts details", has=page.locator("[data-find]"))
+    for text, is_open in (("a9-bac 2", True), ("", False)):
+        page.fill("#find", text)
+        assert folds.evaluate_all("all => all.map((d) => d.open)") == [is_open]
+
+
+def test_losses_sort_both_ways(page):
     table = page.locator("#tonight table").first
     button = table.locator("th button", has_text="Share lost")
     losses = "rows => rows.map((r) => Number(r.cells[2].dataset.v))"
@@ -80,16 +97,19 @@ def test_page_fits_the_window(opened, width):
         button.dispatch_event("click")
         ways.append(table.locator("tbody tr").evaluate_all(losses))
     assert ways == [sorted(ways[0]), sorted(ways[0], reverse=True)]
+
+
+def test_every_link_leads_somewhere(page):
     assert page.evaluate("[...document.querySelectorAll('a')].every(a => document.querySelector(a.hash))")
 
 
-def test_chart_zooms_by_dates(opened):
-    page = opened()
+def test_chart_zooms_by_dates(open_page):
+    page = open_page()
     chart = page.locator("#tracks .track").first
     chart.scroll_into_view_if_needed()
-    seen = "chart => [...chart.querySelectorAll('.day')].filter((d) => d.style.display !== 'none').length"
+    visible_days = "chart => [...chart.querySelectorAll('.day')].filter((d) => d.style.display !== 'none').length"
     view = chart.locator(".plot")
-    days = chart.evaluate(seen)
+    days = chart.evaluate(visible_days)
     box = chart.bounding_box()
     assert days > 1
     middle = box["y"] + box["height"] / 2
@@ -99,30 +119,30 @@ def test_chart_zooms_by_dates(opened):
     page.mouse.up()
     start, _, width, _ = map(float, view.get_attribute("viewBox").split())
     assert (start, width) == (pytest.approx(450, abs=15), pytest.approx(100, abs=15))
-    assert chart.evaluate(seen) < days
+    assert chart.evaluate(visible_days) < days
     chart.dblclick()
     assert view.get_attribute("viewBox") == "0 0 1000 1000"
-    assert chart.evaluate(seen) == days
+    assert chart.evaluate(visible_days) == days
 
 
-def test_units_switch_without_mixture(opened):
-    page = opened()
+def test_units_switch_without_mixture(open_page):
+    page = open_page()
     page.locator("summary", has_text="Model against data").click()
     si = page.locator("main").inner_text()
     assert re.search(r"\d °C|\d K\b|\bK\n", si)
     assert "°F" not in si
     figures = page.locator("#figures")
-    shown = [figures.locator("img.si:visible"), figures.locator("img.us:visible")]
-    assert [images.count() for images in shown] == [3, 0]
+    visible = [figures.locator("img.si:visible"), figures.locator("img.us:visible")]
+    assert [images.count() for images in visible] == [3, 0]
     page.select_option("#units", "us")
     us = page.locator("main").inner_text()
     assert "°F" in us
     assert not re.search(r"°C|\d K\b|kg/s|W/K", us)
-    assert [images.count() for images in shown] == [0, 3]
+    assert [images.count() for images in visible] == [0, 3]
 
 
-def test_figures_suit_either_ground(opened):
-    page = opened(dark=True)
+def test_figures_suit_either_ground(open_page):
+    page = open_page(dark=True)
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(22, 22, 22)"
     page.locator("summary", has_text="Model against data").click()
     image = page.locator("#figures img:visible").first
@@ -132,8 +152,8 @@ def test_figures_suit_either_ground(opened):
     assert image.evaluate("img => getComputedStyle(img).filter") == "none"
 
 
-def test_paper_holds_urgent_packs(opened, tmp_path):
-    page = opened(800)
+def test_paper_holds_urgent_packs(open_page, tmp_path):
+    page = open_page(800)
     urgent = page.locator("#tracks > .cards > article").count()
     assert urgent
     page.pdf(path=tmp_path / "report.pdf", prefer_css_page_size=True)

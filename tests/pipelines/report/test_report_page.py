@@ -28,6 +28,15 @@ def sample_page(facts: Facts) -> str:
     return page(facts)
 
 
+@pytest.fixture
+def parsed(read, sample_page):
+    return read(sample_page)
+
+
+def section(page: str, name: str) -> str:
+    return page.split(f'id="{name}"')[1].split("</section>", maxsplit=1)[0]
+
+
 def sound(parsed) -> None:
     """What holds of every page, whatever it shows."""
     assert not parsed.open
@@ -49,39 +58,55 @@ def policy(parsed) -> str:
     return next(v for v in parsed.values("content") if v.startswith("default-src"))
 
 
-def test_sample_page_is_sound(read, sample_home, sample_page, tmp_path):
-    parsed = read(sample_page)
+def test_sample_page_is_sound(parsed, sample_page):
     sound(parsed)
     assert "://" not in sample_page
-    # nothing is fetched, no text becomes a program
+
+
+def test_policy_forbids_what_is_foreign(parsed):
+    """Nothing is fetched, no text becomes a program."""
     styles = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
     assert policy(parsed).startswith(f"{styles}; script-src 'sha256-")
     assert "unsafe-eval" not in policy(parsed)
+
+
+def test_same_catalog_gives_same_bytes(sample_home, sample_page, tmp_path):
     write_report(sample_home, tmp_path / "report.html")
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == sample_page
-
-
-def test_every_pack_has_a_card(facts, read, sample_page):
-    parsed = read(sample_page)
-    packs = [pack_name(r) for r in pack_rows(facts)]
-    assert len(packs) == 4
-    cards = [v for v in parsed.values("id") if v.startswith("pack-")]
-    assert len(cards) == len(packs)
-    text = parsed.text()
-    assert all(text.count(p) >= 2 for p in packs)
-    text = read(sample_page.split('id="tonight"')[1].split("</section>")[0]).text()
-    assert all(text.count(pack_name(r)) == 1 for r in pack_rows(facts))
-    opened = facts["alerts"].filter(pl.col("closed_at").is_null()).to_dicts()
-    assert opened
-    assert all(f"{diagnosis(a['diagnosis'])} since {day(a['raised_at'])}" in text for a in opened)
 
 
 def pack_rows(facts: Facts) -> list[dict]:
     return [unit.values for unit in facts.rows if unit["component"] is None]
 
 
+@pytest.fixture
+def packs(facts) -> list[str]:
+    return [pack_name(row) for row in pack_rows(facts)]
+
+
+def test_every_pack_has_a_card(packs, parsed):
+    cards = [v for v in parsed.values("id") if v.startswith("pack-")]
+    assert len(cards) == len(packs) == 4
+    assert all(parsed.text().count(p) >= 2 for p in packs)
+
+
+@pytest.fixture
+def first_table(read, sample_page) -> str:
+    return read(section(sample_page, "tonight")).text()
+
+
+def test_first_table_has_every_pack(packs, first_table):
+    assert [first_table.count(p) for p in packs] == [1] * 4
+
+
+def test_first_table_has_open_alerts(facts, first_table):
+    alerts = facts["alerts"].filter(pl.col("closed_at").is_null()).to_dicts()
+    assert alerts
+    assert all(f"{diagnosis(a['diagnosis'])} since {day(a['raised_at'])}" in first_table for a in alerts)
+
+
 def test_figures_are_embedded(sample_page):
-    figures = sample_page.split('id="figures"')[1].split("</section>")[0]
+    figures = section(sample_page, "figures")
     assert figures.count("<figure") == 4
     images = re.findall(r'<img(?: class="(si|us)")? src="data:image/svg\+xml;base64,([^"]+)" alt="([^"]+)"', figures)
     assert [system for system, _, _ in images] == ["si", "us"] * 3 + [""]  # the last is in per cent
@@ -91,11 +116,11 @@ def test_figures_are_embedded(sample_page):
 
 def test_chart_ends_at_present_state(facts, sample_page):
     """The last point of each chart is the pack's own with its interval; and whose the other is."""
-    drawn = tracks(facts)
+    charts = tracks(facts)
     for row in pack_rows(facts):
         name = f"pack-{row['operator']}-{row['tail']}-{row['pack']}"
-        own = drawn[name]
-        layout = drawing(drawn, name, fleet_band(facts), 0.15)
+        own = charts[name]
+        layout = drawing(charts, name, fleet_band(facts), 0.15)
         assert f'points="{layout["lines"]["own"]}"' in sample_page
         x, y = map(float, layout["lines"]["own"].split()[-1].split(","))
         x0, x1 = own["x"]
@@ -121,24 +146,34 @@ def with_outlook(facts: Facts, **values) -> Facts:
     return with_values(facts, **(outlook | values))
 
 
+LEFT = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0}
+
+
 def test_forecast_fans_out_from_loss(facts):
-    left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0}
-    for track in tracks(with_outlook(facts, **left)).values():
+    for track in tracks(with_outlook(facts, **LEFT)).values():
         now = track["now"]
         loss = track["own"]["y"][-1]
         level = max(38.0, loss)
         assert track["fan"]["area"] == [(now, loss), (now + 10 * DAY_MS, level), (now + 75 * DAY_MS, level)]
         assert track["fan"]["median"] == [(now, loss), (now + 30 * DAY_MS, level)]
-    charts = tracks(with_outlook(facts, **left, is_bound=True))
-    assert {len(t["fan"]["median"]) for t in charts.values()} == {0}, "no median where no message is near"
-    for lacking in ({"flights_per_day": None}, {"rul_low": None}):
-        charts = tracks(with_outlook(facts, **(left | lacking)))
-        assert [t["fan"] for t in charts.values()] == [{}] * len(charts)
-    left = {"rul_low": 20.0, "rul_flights": 60.0, "rul_high": 150.0, "outlook_component": "CC"}
-    half = facts["health"].filter(parameter="hx_fouling").with_columns(parameter=pl.lit("cc_efficiency_loss"))
-    health = pl.concat([facts["health"].filter(parameter="hx_fouling"), half.with_columns(value=0.5 * pl.col("value"))])
-    worn = replace(facts, frames=facts.frames | {"health": health})
-    for track in tracks(with_outlook(worn, **left)).values():
+
+
+def test_distant_message_has_no_median(facts):
+    charts = tracks(with_outlook(facts, **LEFT, is_bound=True))
+    assert {len(t["fan"]["median"]) for t in charts.values()} == {0}
+
+
+@pytest.mark.parametrize("column", ["flights_per_day", "rul_low"])
+def test_lacking_outlook_draws_no_fan(facts, column):
+    charts = tracks(with_outlook(facts, **(LEFT | {column: None})))
+    assert [t["fan"] for t in charts.values()] == [{}] * len(charts)
+
+
+def test_compressor_forecast_has_own_loss(facts):
+    fouling = facts["health"].filter(parameter="hx_fouling")
+    half = fouling.with_columns(parameter=pl.lit("cc_efficiency_loss"), value=0.5 * pl.col("value"))
+    worn = replace(facts, frames=facts.frames | {"health": pl.concat([fouling, half])})
+    for track in tracks(with_outlook(worn, **LEFT, outlook_component="CC")).values():
         assert track["fan"]["area"][0][1] == track["cc"]["y"][-1] != track["own"]["y"][-1]
         assert track["fan"]["level"] == max(25.0, track["cc"]["y"][-1])
 
@@ -162,6 +197,9 @@ def test_card_offers_every_choice(facts):
         assert set(choices) == {"inspect", "wash", "replace", "nothing"}
         assert all("min, " in c[3] for name, c in choices.items() if name != "nothing")
         assert choices["inspect"][1] == choices["nothing"][1], "a look alone changes no chance"
+
+
+def test_fifty_aircraft_stay_small(facts):
     frames = {
         name: pl.concat(f.with_columns(tail=pl.format("T{}-{}", i, pl.col("tail").str.slice(-3))) for i in range(25))
         for name, f in facts.frames.items()
@@ -177,17 +215,22 @@ def test_card_offers_every_choice(facts):
     assert len(whole.encode()) < 5_000_000
 
 
-def test_band_holds_nine_of_ten(facts):
-    """A made fleet of forty packs, the k-th of which lost k per cent all the time."""
+def band_of(facts: Facts, n_packs: int) -> dict:
+    """The band of a made fleet, the k-th pack of which lost k per cent all the time."""
     days = pl.datetime_range(pl.datetime(2024, 1, 1), pl.datetime(2024, 6, 1), "1d", time_zone="UTC", eager=True)
     own = {"departed_at": days, "operator": "AAA", "pack": 1, "parameter": "hx_fouling"}
-    rows = [pl.DataFrame(own | {"tail": f"T-{k}", "value": k / 100}) for k in range(41)]
-    band = fleet_band(replace(facts, frames=facts.frames | {"health": pl.concat(rows)}))
+    rows = [pl.DataFrame(own | {"tail": f"T-{k}", "value": k / 100}) for k in range(n_packs)]
+    return fleet_band(replace(facts, frames=facts.frames | {"health": pl.concat(rows)}))
+
+
+def test_band_holds_nine_of_ten(facts):
+    band = band_of(facts, 41)
     assert len(band["x"]) > 30
-    assert set(band["low"]) == {2.0}
-    assert set(band["high"]) == {38.0}
-    few = replace(facts, frames=facts.frames | {"health": pl.concat(rows[:3])})
-    assert fleet_band(few)["x"] == []
+    assert (set(band["low"]), set(band["high"])) == ({2.0}, {38.0})
+
+
+def test_few_packs_have_no_band(facts):
+    assert band_of(facts, 3)["x"] == []
 
 
 @pytest.mark.parametrize("units", ["si", "us"])
@@ -234,7 +277,7 @@ def test_few_flights_make_a_page(facts, read, n):
     assert "Not calibrated yet" in text
 
 
-def test_hostile_names_stay_text(facts, read, hostile, sample_page):
+def test_hostile_names_stay_text(facts, read, hostile, parsed):
     def poison(frame: pl.DataFrame) -> pl.DataFrame:
         codes = {"gap", "urgency", "parameter", "severity", "scope", "kind", "action", "component"}
         texts = [c for c, t in frame.schema.items() if t == pl.String and c not in codes]
@@ -243,12 +286,10 @@ def test_hostile_names_stay_text(facts, read, hostile, sample_page):
     frames = {name: poison(f) for name, f in facts.frames.items()}
     bad = replace(facts, frames=frames, card={hostile: {hostile: hostile}, "list": [hostile]})
     html = page(bad)
-    parsed = read(html)
-    plain = read(sample_page)
-    assert parsed.tags.count("script") == plain.tags.count("script")
-    assert all(source.startswith("data:image/svg+xml;base64,") for source in parsed.values("src"))
-    assert parsed.tags.count("img") == len(parsed.values("src")) <= plain.tags.count("img")
-    assert set(parsed.tags) <= set(plain.tags) | {"ul"}
-    assert not [name for _, name, _ in parsed.attributes if name.startswith("on")]
-    assert "\u202e" not in html
-    assert "\x00" not in html
+    poisoned = read(html)
+    assert poisoned.tags.count("script") == parsed.tags.count("script")
+    assert all(source.startswith("data:image/svg+xml;base64,") for source in poisoned.values("src"))
+    assert poisoned.tags.count("img") == len(poisoned.values("src")) <= parsed.tags.count("img")
+    assert set(poisoned.tags) <= set(parsed.tags) | {"ul"}
+    assert not [name for _, name, _ in poisoned.attributes if name.startswith("on")]
+    assert {"\u202e", "\x00"}.isdisjoint(html)

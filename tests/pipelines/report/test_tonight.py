@@ -107,16 +107,13 @@ def test_without_costs_wear_is_washed(sample_home, facts):
     assert UnitRow(values, tasks_of(read_tasks(sample_home), alert | {"component": "HX"})).to_do() == "Wash"
 
 
-def test_each_diagnosis_has_its_work(tmp_path):
-    tasks = read_tasks(tmp_path)
-    for d in DIAGNOSES.values():
-        texts = {"units_in_90_days": None, "action_phrases": stored_action(d.action)}
-        alert = {"diagnosis": d.code, "component": d.component, "choice": None, **texts}
-        own = tasks_of(tasks, alert)
-        work = own[action_of(alert, own)]
-        assert work.minutes
-        assert work.people
-        assert all((work.tools, work.part, work.zone, work.task))
+@pytest.mark.parametrize("d", DIAGNOSES.values(), ids=DIAGNOSES)
+def test_each_diagnosis_has_its_work(tmp_path, d):
+    texts = {"units_in_90_days": None, "action_phrases": stored_action(d.action)}
+    alert = {"diagnosis": d.code, "component": d.component, "choice": None, **texts}
+    own = tasks_of(read_tasks(tmp_path), alert)
+    work = own[action_of(alert, own)]
+    assert all((work.minutes, work.people, work.tools, work.part, work.zone, work.task))
 
 
 def test_declared_component_has_declared_work(tmp_path):
@@ -124,23 +121,32 @@ def test_declared_component_has_declared_work(tmp_path):
     texts = {"units_in_90_days": None, "action_phrases": stored_action(cac.action)}
     alert = {"diagnosis": cac.diagnosis, "component": "CAC", "choice": None} | texts
     assert work_text(read_tasks(tmp_path), alert) == f"Replace: {cac.action}"
-    assert Task(minutes=30, people=1).text() == "30 min, 1 person"
-    assert Task(zone="193").text() == "zone 193"
-    assert Task().text() == ""
-
-
-def test_home_replaces_single_values(tmp_path):
-    (tmp_path / "tasks.toml").write_text('[HX.wash]\nminutes = 95\n[HX_SUDDEN_CLOG.inspect]\nzone = "193"\n')
-    tasks = read_tasks(tmp_path)
-    assert work_text(tasks, FOULING).startswith("Wash: 95 min, 2 people; task 21-52-00-100-801; zone 191/192; part: ")
-    clog = {"diagnosis": "HX_SUDDEN_CLOG", "component": "HX"}
-    assert tasks_of(tasks, clog)["inspect"].zone == "193"
-    assert tasks_of(tasks, clog)["inspect"].minutes == tasks_of(tasks, FOULING)["inspect"].minutes == 45
-    assert tasks_of(tasks, FOULING)["inspect"].zone == "191/192"
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("task", "text"),
+    [(Task(minutes=30, people=1), "30 min, 1 person"), (Task(zone="193"), "zone 193"), (Task(), "")],
+)
+def test_task_names_what_is_set(task, text):
+    assert task.text() == text
+
+
+def test_home_replaces_single_values(tmp_path):
+    (tmp_path / "tasks.toml").write_text("[HX.wash]\nminutes = 95\n")
+    text = work_text(read_tasks(tmp_path), FOULING)
+    assert text.startswith("Wash: 95 min, 2 people; task 21-52-00-100-801; zone 191/192; part: ")
+
+
+def test_diagnosis_extends_its_component(tmp_path):
+    (tmp_path / "tasks.toml").write_text('[HX_SUDDEN_CLOG.inspect]\nzone = "193"\n')
+    alerts = {"diagnosis": "HX_SUDDEN_CLOG", "component": "HX"}, FOULING
+    clog, fouling = (tasks_of(read_tasks(tmp_path), alert)["inspect"] for alert in alerts)
+    assert (clog.zone, clog.minutes) == ("193", 45)
+    assert (fouling.zone, fouling.minutes) == ("191/192", 45)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
     [
         ("minutes = 5", "has no setting 'minutes'; there are CAC, CC, "),
         ("HX = 5", "HX is no table of actions"),
@@ -155,24 +161,38 @@ def test_home_replaces_single_values(tmp_path):
         ("[HX", "can't be read: no TOML"),
     ],
 )
-def test_wrong_task_is_named(tmp_path, text, says):
+def test_wrong_task_is_named(tmp_path, text, message):
     (tmp_path / "tasks.toml").write_text(text)
     with pytest.raises(StoreError) as error:
         read_tasks(tmp_path)
     assert f"{tmp_path / 'tasks.toml'}" in str(error.value)
-    assert says in str(error.value)
+    assert message in str(error.value)
 
 
-def test_action_fits_the_alert(tmp_path):
-    tasks = read_tasks(tmp_path)
-    own = tasks_of(tasks, FOULING)
-    assert action_of(FOULING, own) == "wash"
-    assert action_of(FOULING | {"choice": "defer"}, own) == "defer"
-    assert work_text(tasks, FOULING | {"choice": "defer"}) == "Nothing until then"
-    assert action_of(FOULING | {"choice": None}, own) == "wash"
-    assert action_of(FOULING | {"units_in_90_days": 3}, own) == "inspect"
-    assert action_of(FOULING | {"diagnosis": "HX_LOW_MARGIN"}, own) == "inspect"
+@pytest.mark.parametrize(
+    ("changes", "action"),
+    [
+        ({}, "wash"),
+        ({"choice": "defer"}, "defer"),
+        ({"choice": None}, "wash"),
+        ({"units_in_90_days": 3}, "inspect"),
+        ({"diagnosis": "HX_LOW_MARGIN"}, "inspect"),
+    ],
+)
+def test_action_fits_the_alert(tmp_path, changes, action):
+    """The cheapest where wear is the cause, else a look."""
+    assert action_of(FOULING | changes, tasks_of(read_tasks(tmp_path), FOULING)) == action
+
+
+def test_alert_without_work_is_inspected():
     assert action_of(FOULING | {"choice": None}, {}) == "inspect"
+
+
+def test_deferred_work_is_nothing(tmp_path):
+    assert work_text(read_tasks(tmp_path), FOULING | {"choice": "defer"}) == "Nothing until then"
+
+
+def test_actions_are_four():
     assert set(ACTIONS) == {"inspect", "wash", "replace", "defer"}
 
 
@@ -188,13 +208,18 @@ def test_service_limits_give_catalog_alerts(sample_home):
         assert row["false"] == rate["n_judged"] - rate["n_right"]
 
 
-def test_missing_estimate_has_its_reason():
+OIL = {"name": "oil cooler", "component": "OIL"}
+
+
+@pytest.mark.parametrize(
+    ("own", "reason", "text"),
+    [
+        (OIL, "NOT_COMMISSIONED", "too few steady flights of the component as built"),
+        (OIL, "FEW_SAMPLES", "fewer than five samples to which the component's model applies"),
+        ({"component": None}, "NO_CRUISE", words.REASONS["NO_CRUISE"]),
+    ],
+)
+def test_missing_estimate_has_its_reason(own, reason, text):
+    """In the words of the pack, or of the component."""
     row = {"operator": "AQX", "tail": "LX-AAA", "pack": 1, "urgency": "unknown", "missing_since": None}
-    unit = {"name": "oil cooler", "component": "OIL"}
-    pack = {"component": None}
-    for own, reason, text in (
-        (unit, "NOT_COMMISSIONED", "too few steady flights of the component as built"),
-        (unit, "FEW_SAMPLES", "fewer than five samples to which the component's model applies"),
-        (pack, "NO_CRUISE", words.REASONS["NO_CRUISE"]),
-    ):
-        assert f"; {text}." in words.unknown([row | own | {"missing_reason": reason}])[0]
+    assert f"; {text}." in words.unknown([row | own | {"missing_reason": reason}])[0]
