@@ -1,4 +1,4 @@
-"""Earlier nights: what was believed when, for how long it is kept, and what is told where it is not."""
+"""Earlier nights: what was believed when, for how long it is kept, and what answers where it is not."""
 
 import re
 import shutil
@@ -59,21 +59,35 @@ def names(home: Path) -> list[str]:
 
 def test_each_night_answers_as_then(four):
     assert [snapshots_of(connect_as_of(four, name)) for name in names(four)] == list(range(NIGHTS))
-    assert snapshots_of(connect_as_of(four, max(names(four))[:10])) == NIGHTS - 1
-    assert snapshots_of(connect(four)) == NIGHTS - 1
+
+
+def test_day_means_its_last_night(four):
+    assert snapshots_of(connect_as_of(four, max(names(four))[:10])) == snapshots_of(connect(four)) == NIGHTS - 1
+
+
+def test_reader_reaches_no_other_file(four):
     with connect_as_of(four, names(four)[0]) as con, pytest.raises(Exception, match="disabled by configuration"):
         con.execute("select * from read_text('/etc/passwd')").fetchall()
+
+
+def test_night_before_first_is_refused(four):
     with pytest.raises(StoreError, match=f"the first on record is {names(four)[0][:10]}"):
         connect_as_of(four, "2001-01-01")
+
+
+def test_home_without_night_finds_none():
     with pytest.raises(StoreError, match="none is on record"):
         find_night({}, "2024-01-01")
 
 
-def test_day_or_hour_names_night():
-    nights = {name: {} for name in ("2024-03-01T02:00:00", "2024-03-01T23:00:00", "2024-03-03T02:00:00")}
-    for day, meant in (("2024-03-01", 1), ("2024-03-02", 1), ("2024-03-01T02", 0), ("2025", 2), ("2024-03-03", 2),
-                       ("2024-03-01 23:30", 1), ("2024-03-01T23:00:00+00:00", 1)):  # fmt: skip
-        assert find_night(nights, day)[0] == list(nights)[meant]
+@pytest.mark.parametrize(
+    ("text", "nth"),
+    [("2024-03-01", 1), ("2024-03-02", 1), ("2024-03-01T02", 0), ("2025", 2), ("2024-03-03", 2),
+     ("2024-03-01 23:30", 1), ("2024-03-01T23:00:00+00:00", 1)],
+)  # fmt: skip
+def test_day_or_hour_names_night(text, nth):
+    nights = ("2024-03-01T02:00:00", "2024-03-01T23:00:00", "2024-03-03T02:00:00")
+    assert find_night({name: {} for name in nights}, text)[0] == nights[nth]
 
 
 @pytest.mark.parametrize("text", ["yesterday", "26.06.2024", "06/26/2024", "2024-6-1", "2024-03-01T02:00+02:00", ""])

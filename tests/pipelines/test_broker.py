@@ -8,8 +8,8 @@ from dagster_batched import celery
 
 AT_WORK = {"one@a": [{"id": "task-1"}], "two@b": []}
 RUNNING = WorkerStatus.RUNNING
-LOST = WorkerStatus.NOT_FOUND
-BEGUN_ANEW = ((AT_WORK, 100, RUNNING), (AT_WORK, 61, LOST))
+NOT_FOUND = WorkerStatus.NOT_FOUND
+BEGUN_ANEW = ((AT_WORK, 100, RUNNING), (AT_WORK, 61, NOT_FOUND))
 NOBODY = (None, celery.OperationalError("refused"), ConnectionResetError())
 
 
@@ -40,20 +40,20 @@ def run_of(task: str | None) -> dg.DagsterRun:
     ("task", "looks"),
     [
         ("task-1", [(AT_WORK, 0, RUNNING)]),
-        ("task-2", [(AT_WORK, 0, RUNNING), (AT_WORK, 59, RUNNING), (AT_WORK, 2, LOST)]),
+        ("task-2", [(AT_WORK, 0, RUNNING), (AT_WORK, 59, RUNNING), (AT_WORK, 2, NOT_FOUND)]),
         *(("task-2", [(AT_WORK, 0, RUNNING), (nobody, 100, RUNNING), *BEGUN_ANEW]) for nobody in NOBODY),
         (None, [(AT_WORK, 100, RUNNING)] * 3),
     ],
 )
 def test_run_without_worker_is_lost(watched_launcher, task, looks):
-    """A run that was never sent out is not the workers'."""
+    """After a while in which workers answer; a run that was never sent out is not theirs."""
     launcher, workers = watched_launcher
     run = run_of(task)
     for answer, later_s, status in looks:
         workers |= {"answer": answer, "now": workers["now"] + later_s}
         health = launcher.check_run_worker_health(run)
         assert health.status == status
-    assert health.msg == ("no worker has been at it for 61 s" if status == LOST else None)
+    assert health.msg == ("no worker has been at it for 61 s" if status == NOT_FOUND else None)
 
 
 def test_one_look_asks_workers_once(watched_launcher):
@@ -64,6 +64,7 @@ def test_one_look_asks_workers_once(watched_launcher):
 
 
 def test_task_is_acknowledged_when_begun(watched_launcher):
+    """And asks for no result."""
     launcher, _ = watched_launcher
     conf = launcher.celery.conf
     assert (conf.task_acks_late, conf.task_ignore_result, conf.result_backend) == (False, True, None)

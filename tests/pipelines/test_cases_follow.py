@@ -9,10 +9,10 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from answers import query
 from asgi_client import Client
 from command import hdt
 
-from pipelines.storage.catalog import connect
 from pipelines.web.casebook import application
 from pipelines.web.guard import LOCAL
 from pipelines.web.sign_in import Person
@@ -37,10 +37,7 @@ def another_aircraft(landing: Path, home: Path) -> None:
 def redelivered(landing: Path, home: Path) -> None:
     """The flight that raised the alert comes again, its pack's outlet six degrees colder."""
     (alert_id,) = (row["alert_id"] for row in cases(home).values())
-    with connect(home) as con:
-        ((name, pack),) = con.execute(
-            "select raised_flight_id, pack from alerts where alert_id = ?", [alert_id]
-        ).fetchall()
+    ((name, pack),) = query(home, f"select raised_flight_id, pack from alerts where alert_id = '{alert_id}'")
     (file,) = landing.glob(f"*/*/acms/{name}.csv")
     rows = pl.read_csv(file)
     is_own = pl.col("pack") == pack
@@ -68,8 +65,12 @@ def orders(home: Path, out: Path) -> set[str]:
         return {row["reference"] for row in csv.DictReader(file) if row["component"] == "HX"}
 
 
-def say(home: Path, *words: object) -> None:
+def change_case(home: Path, *words: object) -> None:
     assert hdt("case", *words, "--by", "Ada", "--home", home).returncode == 0
+
+
+def run(landing: Path, home: Path) -> None:
+    assert hdt("nightly", "--landing", landing, "--home", home).returncode == 0
 
 
 @pytest.mark.parametrize("change", [new_rules, another_aircraft, redelivered])
@@ -78,28 +79,28 @@ def test_case_keeps_owner_through_nights(own_home, tmp_path, change: Callable[[P
     before = cases(home)
     numbers = orders(home, tmp_path)
     for name in before:
-        say(home, "assign", name, "--to", "Bo")
-        say(home, "mute", name, "--until", SOON, "--note", "exchanger on order")
+        change_case(home, "assign", name, "--to", "Bo")
+        change_case(home, "mute", name, "--until", SOON, "--note", "exchanger on order")
     change(landing, home)
-    assert hdt("nightly", "--landing", landing, "--home", home).returncode == 0
+    run(landing, home)
     after = cases(home)
     assert before.keys() <= after.keys()
     assert {(after[name]["owner"], after[name]["mute_note"]) for name in before} == {("Bo", "exchanger on order")}
     for name in before:
-        say(home, "reopen", name, "--note", "it came")
-    assert hdt("nightly", "--landing", landing, "--home", home).returncode == 0
+        change_case(home, "reopen", name, "--note", "it came")
+    run(landing, home)
     assert numbers <= orders(home, tmp_path)
-    moved = [row for name, row in after.items() if name in before and row["alert_id"] != name]
+    renamed = [row for name, row in after.items() if name in before and row["alert_id"] != name]
     assert all(f"{name}  " in hdt("case", "show", before[name]["alert_id"], "--home", home).stdout for name in before)
     assert {page(home, row["alert_id"]).status_code for row in (*before.values(), *after.values())} == {200}
-    assert moved or change is another_aircraft
+    assert renamed or change is another_aircraft
 
 
 def test_link_of_withdrawn_case_answers(own_home) -> None:
     landing, home = own_home
     before = cases(home)
     no_rule(landing, home)
-    assert hdt("nightly", "--landing", landing, "--home", home).returncode == 0
+    run(landing, home)
     assert cases(home) == {}
     answers = [page(home, name) for name in before]
     assert {answer.status_code for answer in answers} == {200}

@@ -4,10 +4,12 @@ import datetime as dt
 import multiprocessing
 import shutil
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import polars as pl
 import pytest
+from answers import query
 from case_homes import case_home, publish_losses
 from databases import SERVER, new_database
 from nights import run
@@ -16,7 +18,6 @@ from small_catalog import START
 from hdt_core.loading import UserError
 from pipelines.casework import RefusedError, change_case, find_case, history_of, list_cases
 from pipelines.storage.cases import FILE, CaseLog, ConflictError
-from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 
 SOON = (dt.datetime.now(dt.UTC) + dt.timedelta(days=5)).date().isoformat()
@@ -45,10 +46,12 @@ def history(home: Path, alert_id: str = "wear") -> list[dict]:
     return history_of(home, find_case(home, alert_id))
 
 
+def test_open_alerts_are_new_cases(home):
+    states = {"wear": "new", "clog": "new", "gone": "closed", "other": "new"}
+    assert {c["alert_id"]: c["state"] for c in list_cases(home, "true")} == states
+
+
 def test_change_shows_at_once(home):
-    assert {c["alert_id"]: c["state"] for c in list_cases(home, "true")} == {
-        "wear": "new", "clog": "new", "gone": "closed", "other": "new",
-    }  # fmt: skip
     change(home, "wear", "acknowledge", "Ada")
     assert state(home) == "acknowledged"
     change(home, "wear", "assign", "Ada", assignee="Bo")
@@ -134,9 +137,12 @@ def test_senseless_change_leaves_no_line(home, kind, fields, message):
 def test_closed_alert_takes_no_change(home):
     with pytest.raises(RefusedError, match="closed on"):
         change(home, "gone", "acknowledge", "Ada")
-    for name in ("", "x", "%", "_"):
-        with pytest.raises(UserError):
-            find_case(home, name)
+
+
+@pytest.mark.parametrize("name", ["", "x", "%", "_"])
+def test_vague_name_finds_no_case(template_home, name):
+    with pytest.raises(UserError):
+        find_case(template_home, name)
 
 
 ALERT = {"alert_id": "a1", "operator": "AAA", "tail": "T-1", "pack": 1, "component": "HX", "diagnosis": "HX_FOULING"}
@@ -147,7 +153,15 @@ def write(home: Path, person: str, n: int = 20) -> None:
         CaseLog(home, "").append(ALERT | {"alert_id": f"a{k % 3}"}, "watch", person, {"note": f"{k} %s ? '"})
 
 
-def test_three_writers_lose_nothing(tmp_path):
+@pytest.fixture
+def log(tmp_path) -> CaseLog:
+    return CaseLog(tmp_path, "")
+
+
+UNTIL_2030 = {"until": "2030-01-01T00:00:00+00:00", "note": "x"}
+
+
+def test_three_writers_lose_nothing(tmp_path, log):
     people = ("Ada", "Bo", "Cy")
     context = multiprocessing.get_context("spawn")
     writers = [context.Process(target=write, args=(tmp_path, person)) for person in people]
@@ -155,26 +169,24 @@ def test_three_writers_lose_nothing(tmp_path):
         w.start()
     for w in writers:
         w.join(60)
-    entries = CaseLog(tmp_path, "").entries()
+    entries = log.entries()
     assert entries["line"].to_list() == list(range(1, 61))
     assert entries["at"].is_sorted()
     for person in people:
         assert entries.filter(person=person)["note"].to_list() == [f"{k} %s ? '" for k in range(20)]
 
 
-def test_late_writer_learns_of_first(tmp_path):
-    log = CaseLog(tmp_path, "")
+def test_late_writer_learns_of_first(log):
     line = log.append(ALERT, "acknowledge", "Ada", expected_line=0)
     log.append(ALERT | {"alert_id": "other"}, "acknowledge", "Bo", expected_line=0)
     log.append(ALERT, "assign", "Bo", {"assignee": "Cy"}, expected_line=line)
     with pytest.raises(ConflictError, match="Bo changed this case in the meantime"):
-        log.append(ALERT, "mute", "Ada", {"until": "2030-01-01T00:00:00+00:00"}, expected_line=line)
+        log.append(ALERT, "mute", "Ada", UNTIL_2030, expected_line=line)
     assert log.entries().filter(alert_id="a1")["kind"].to_list() == ["acknowledge", "assign"]
 
 
 @pytest.mark.parametrize("line", [2, 10**17, -1])
-def test_unknown_line_is_refused(tmp_path, line):
-    log = CaseLog(tmp_path, "")
+def test_unknown_line_is_refused(log, line):
     with pytest.raises(ConflictError, match=f"line {line} of the log is none about this case"):
         log.append(ALERT, "acknowledge", "Ada", expected_line=line)
     assert log.entries().height == 0
@@ -184,23 +196,26 @@ def test_unknown_line_is_refused(tmp_path, line):
     assert log.entries().height == 1
 
 
-def test_log_only_grows(tmp_path):
-    assert CaseLog(tmp_path, "").entries().is_empty()
+def test_reading_makes_no_log(tmp_path, log):
+    assert log.entries().is_empty()
     assert list(tmp_path.iterdir()) == []
-    CaseLog(tmp_path, "").append(ALERT, "acknowledge", "Ada")
-    with sqlite3.connect(tmp_path / FILE) as con:
-        for sql in ("update cases set person = 'Eve'", "delete from cases"):
-            with pytest.raises(sqlite3.IntegrityError, match="only added to"):
-                con.execute(sql)
-    con.close()
-    assert CaseLog(tmp_path, "").entries()["person"].to_list() == ["Ada"]
+
+
+@pytest.mark.parametrize("sql", ["update cases set person = 'Eve'", "delete from cases"])
+def test_log_only_grows(tmp_path, log, sql):
+    log.append(ALERT, "acknowledge", "Ada")
+    with (
+        closing(sqlite3.connect(tmp_path / FILE)) as con,
+        pytest.raises(sqlite3.IntegrityError, match="only added to"),
+    ):
+        con.execute(sql)
+    assert log.entries()["person"].to_list() == ["Ada"]
 
 
 @pytest.mark.parametrize("damage", ["gone", "damaged"])
-def test_lost_log_is_restored(tmp_path, damage):
-    log = CaseLog(tmp_path, "")
+def test_lost_log_is_restored(tmp_path, log, damage):
     log.append(ALERT, "close", "Ada", {"finding": "FOULED", "done_on": "2024-06-19", "loss_then": 0.2})
-    log.append(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"})
+    log.append(ALERT, "mute", "Bo", UNTIL_2030)
     stored = log.entries()
     assert log.repair(stored) is None
     content = (tmp_path / FILE).read_bytes()
@@ -211,9 +226,9 @@ def test_lost_log_is_restored(tmp_path, damage):
     assert (tmp_path / f"{FILE}.damaged").exists() == (damage == "damaged")
 
 
-def test_rotten_line_is_restored(tmp_path):
-    log = CaseLog(tmp_path, "")
-    log.append(ALERT, "mute", "Bo", {"until": "2030-01-01T00:00:00+00:00", "note": "x"})
+def test_rotten_line_is_restored(tmp_path, log):
+    """A line written since stays."""
+    log.append(ALERT, "mute", "Bo", UNTIL_2030)
     stored = log.entries()
     log.append(ALERT, "watch", "Cy")
     content = (tmp_path / FILE).read_bytes()
@@ -225,26 +240,24 @@ def test_rotten_line_is_restored(tmp_path):
     assert log.entries().head(1).equals(stored)
 
 
-def test_older_copy_regains_last_lines(tmp_path):
-    log = CaseLog(tmp_path, "")
+def test_older_copy_regains_last_lines(tmp_path, log):
     log.append(ALERT, "acknowledge", "Ada")
     backup = (tmp_path / FILE).read_bytes()
     log.append(ALERT, "assign", "Ada", {"assignee": "Bo"})
     stored = log.entries()
     (tmp_path / FILE).write_bytes(backup)
-    log.append(ALERT, "mute", "Cy", {"until": "2030-01-01T00:00:00+00:00"})
+    log.append(ALERT, "mute", "Cy", UNTIL_2030)
     assert "lacks 1 lines that the tables hold; 1 lines are put back" in str(log.repair(stored))
     assert log.entries().select("line", "kind").rows() == [(1, "acknowledge"), (2, "assign"), (3, "mute")]
     assert log.repair(stored) is None
 
 
-def test_lines_without_ids_join_once(tmp_path):
-    log = CaseLog(tmp_path, "")
+def test_lines_without_ids_join_once(tmp_path, log):
+    """As those from before there were ids."""
     log.append(ALERT, "assign", "Ada", {"assignee": "Bo"})
-    with sqlite3.connect(tmp_path / FILE) as con:
+    with closing(sqlite3.connect(tmp_path / FILE)) as con, con:
         con.execute("drop trigger no_update")
         con.execute("update cases set body = json_remove(body, '$.id', '$.case_id')")
-    con.close()
     stored = log.entries().with_columns(id=pl.lit(None, pl.String), case_id=pl.lit(None, pl.String))
     log.append(ALERT, "watch", "Cy")
     assert log.repair(stored) is None
@@ -262,9 +275,9 @@ def test_database_serves_several_machines():
             two.append(ALERT, "acknowledge", "Bo", expected_line=0)
         two.append(ALERT, "acknowledge", "Bo", expected_line=line)
         entries = two.entries()
-        lost = [entries.with_columns(id=pl.lit("lost"), at=pl.col("at").dt.offset_by("-1d")).head(1)]
-        assert "lacks 1 lines" in str(one.repair(pl.concat([entries, *lost])))
-        assert two.entries()["id"].to_list() == ["lost", *entries["id"]]
+        missing = entries.with_columns(id=pl.lit("missing"), at=pl.col("at").dt.offset_by("-1d")).head(1)
+        assert "lacks 1 lines" in str(one.repair(pl.concat([entries, missing])))
+        assert two.entries()["id"].to_list() == ["missing", *entries["id"]]
     assert entries.select("line", "kind", "note").rows() == [(1, "close", "50 %"), (2, "acknowledge", None)]
     assert entries.schema["done_on"] == pl.Date
 
@@ -280,20 +293,15 @@ def test_clean_finding_becomes_sensor_case(own_home):
     assert night.new_files == 0
     remade = Ledger(home).cells("twin_health").join(health, on=health.columns, how="anti")
     assert remade["tail"].to_list() == ["A9-BAC"], "and no other aircraft is made again"
-    with connect(home) as con:
-        outcomes = con.execute(
-            """select closed_on::varchar, closed_reason, outcome from alerts join alert_outcomes using (alert_id)
-            where alert_id = $id""", {"id": case["alert_id"]},
-        ).fetchall()  # fmt: skip
-        after = con.execute("select diagnosis, closed_at from alerts where follows = $id", {"id": case["alert_id"]})
-        assert outcomes == [("2024-06-20", "found_clean", "no_fault_found")]
-        assert after.fetchall() == [("SENSOR_FAULT", None)], "the loss grew from 16 to 21 % after it"
-        status = con.execute(
-            """select distinct status from prognoses where tail = 'A9-BAC' and pack = 2 and component = 'HX'
-            and departed_on > '2024-06-20'"""
-        )
-        assert status.fetchall() == [("contradicted",)]
-        assert con.execute("select person, note from tables.raw_cases").fetchall() == [("Ada", "core face clean")]
+    outcomes = f"""select closed_on::varchar, closed_reason, outcome from alerts join alert_outcomes using (alert_id)
+        where alert_id = '{case["alert_id"]}'"""
+    after = f"select diagnosis, closed_at from alerts where follows = '{case['alert_id']}'"
+    status = """select distinct status from prognoses where tail = 'A9-BAC' and pack = 2 and component = 'HX'
+        and departed_on > '2024-06-20'"""
+    assert query(home, outcomes) == [("2024-06-20", "found_clean", "no_fault_found")]
+    assert query(home, after) == [("SENSOR_FAULT", None)], "the loss grew from 16 to 21 % after it"
+    assert query(home, status) == [("contradicted",)]
+    assert query(home, "select person, note from tables.raw_cases") == [("Ada", "core face clean")]
     assert find_case(home, case["alert_id"])["state"] == "closed"
     assert run(landing, home).idle
     change_case(home, case, "watch", "Bo")

@@ -7,10 +7,12 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pytest
-from command import hdt
+from answers import query
+from command import command_line, hdt
 from typer.testing import CliRunner
 
 from benchmarks.fault_points import fingerprint
@@ -22,17 +24,20 @@ from pipelines.cli.make import DEMO
 from pipelines.intake.scan import scan
 from pipelines.orchestration.around_night import lock_home
 from pipelines.report.words import finding, tidy
-from pipelines.storage.catalog import connect
 from pipelines.storage.ledger import Ledger
 
 COMMANDS = ("nightly", "backfill", "status", "report", "query", "explain", "export", "ui", "simulate", "doctor", "tidy")
 
 
-def processor_s(*words: str) -> float:
+def hdt_json(*words: object) -> Any:
+    """What a command answers as JSON."""
+    return json.loads(hdt(*words, "--json").stdout)
+
+
+def processor_s(*words: object) -> float:
     """User time of a command that runs as a process of its own."""
     before = os.times().children_user
-    command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]
-    subprocess.run(command, capture_output=True, check=False)
+    subprocess.run(command_line(*words), capture_output=True, check=False)
     return os.times().children_user - before
 
 
@@ -96,7 +101,7 @@ def test_missing_zone_ends_at_once(tmp_path, command, make, help_s):
         [("a", "AAA", "T1", "acms", 1, 1, "d")], {"a": [("AAA", "T1", "T1_20240101_01")]}
     )
     before = sorted((tmp_path / "home").iterdir())
-    words = (*command, "--landing", str(tmp_path / "zone"), "--home", str(tmp_path / "home"))
+    words = (*command, "--landing", tmp_path / "zone", "--home", tmp_path / "home")
     done = hdt(*words)
     assert (done.returncode, done.stdout) == (2, "")
     assert message in done.stderr
@@ -139,11 +144,15 @@ def test_idle_night_has_nothing_new(own_home):
     done = hdt("nightly", "--landing", landing, "--home", home)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("Nothing new")
-    summary = json.loads(hdt("nightly", "--landing", landing, "--home", home, "--json").stdout)
+    summary = hdt_json("nightly", "--landing", landing, "--home", home)
     assert summary["idle"]
     assert summary["seconds"] < 5
-    with lock_home(home):
-        done = hdt("nightly", "--landing", landing, "--home", home)
+
+
+def test_second_night_is_refused(sample_landing, tmp_path):
+    """While one is at work."""
+    with lock_home(tmp_path / "home"):
+        done = hdt("nightly", "--landing", sample_landing, "--home", tmp_path / "home")
     assert done.returncode == 2
     assert "another run" in done.stderr
 
@@ -155,30 +164,34 @@ def test_idle_night_mends_the_catalog(own_home):
     assert broken.returncode == 2
     assert "`hdt nightly` makes it anew" in broken.stderr
     assert len(broken.stderr.splitlines()) == 1
-    ill = json.loads(hdt("doctor", "--home", home, "--json").stdout)
+    ill = hdt_json("doctor", "--home", home)
     assert [c["check"] for c in ill if not c["well"]] == ["catalog"]
     done = hdt("nightly", "--landing", landing, "--home", home)
     assert "Catalog written again, for it could not be read" in done.stdout
     assert hdt("query", "--home", home, "select count(*) from flights").returncode == 0
-    summary = json.loads(hdt("nightly", "--landing", landing, "--home", home, "--json").stdout)
-    assert summary["catalog_fault"] is None
+    assert hdt_json("nightly", "--landing", landing, "--home", home)["catalog_fault"] is None
 
 
 def test_query_answers(sample_home):
     assert "LX-AAB" in hdt("query", "--home", sample_home, "select distinct tail from flights").stdout
+
+
+def test_wrong_query_gets_one_line(sample_home):
     wrong = hdt("query", "--home", sample_home, "select operatr from flights")
-    assert wrong.returncode == 2
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
     assert "operatr" in wrong.stderr
     assert '"operator"' in wrong.stderr
-    assert wrong.stderr.count("\n") == 1
+
+
+def test_explain_shows_an_alert(sample_home):
     columns = "alert_id, evidence, evidence_now, recommended_action"
-    with connect(sample_home) as con:
-        alert = con.execute(f"select {columns} from alerts order by evidence = evidence_now limit 1").fetchone()
-    assert alert is not None
-    text = " ".join(hdt("explain", alert[0][:8], "--home", sample_home).stdout.split())
-    assert finding(alert[1]) in text
-    assert tidy(alert[2]) in text
-    assert alert[3] in text
+    alert = f"select {columns} from alerts order by evidence = evidence_now limit 1"
+    ((name, then, now, action),) = query(sample_home, alert)
+    text = " ".join(hdt("explain", name[:8], "--home", sample_home).stdout.split())
+    assert [part for part in (finding(then), tidy(now), action) if part not in text] == []
+
+
+def test_unknown_alert_is_refused(sample_home):
     none = hdt("explain", "nosuchalert", "--home", sample_home)
     assert none.returncode == 2
     assert "lists them" in none.stderr
@@ -186,26 +199,24 @@ def test_query_answers(sample_home):
 
 def test_dry_run_takes_nothing_in(sample_landing, tmp_path):
     home = tmp_path / "home"
-    done = hdt("nightly", "--landing", sample_landing, "--home", home, "--dry-run", "--json")
-    plan = json.loads(done.stdout)
+    words = ("nightly", "--landing", sample_landing, "--home", home, "--dry-run")
+    plan = hdt_json(*words)
     assert len(plan["new_files"]) == plan["files"] > 100
     assert not home.exists()
-    again = hdt("nightly", "--landing", sample_landing, "--home", home, "--dry-run", "--json")
-    assert json.loads(again.stdout) == plan
+    assert hdt_json(*words) == plan
 
 
 def test_status_counts_waiting_cells(own_home):
     landing, home = own_home
-    status = json.loads(hdt("status", "--home", home, "--json").stdout)
+    status = hdt_json("status", "--home", home)
     assert all(a["waiting"] == 0 and a["cells"] == a["up_to_date"] for a in status["assets"].values())
     assert status["last_good_run"] == status["last_run"] is not None
     assert status["last_run_failed"] is None
     changed = landing / "AQX" / "LX-AAB" / "maintenance.csv"
     changed.write_text(changed.read_text() + "2024-06-30,1,HX,INSPECTED,,WO1\n")
     scan(landing, Ledger(home))
-    waiting = json.loads(hdt("status", "--home", home, "--json").stdout)["assets"]
-    assert waiting["raw_maintenance"]["waiting"] == 1
-    assert waiting["raw_flights"]["waiting"] == 0
+    assets = hdt_json("status", "--home", home)["assets"]
+    assert [assets[name]["waiting"] for name in ("raw_maintenance", "raw_flights")] == [1, 0]
 
 
 def test_tidy_changes_no_table(own_home):
@@ -219,8 +230,7 @@ def test_tidy_changes_no_table(own_home):
     assert int(done.stdout.split()[0]) > 5
     left = {f.name.split(".")[0] for f in (home / "dagster" / "history").glob("*.db*")}
     assert left == {"index", "runs"}
-    idle = hdt("nightly", "--landing", landing, "--home", home, "--json")
-    assert json.loads(idle.stdout)["runs"] == 0
+    assert hdt_json("nightly", "--landing", landing, "--home", home)["runs"] == 0
     assert fingerprint(home) == before
 
 
@@ -229,9 +239,12 @@ def test_simulated_fleet_passes_the_doctor(tmp_path):
     done = hdt("simulate", "--out", fleet, "--operators", "1", "--tails", "1", "--flights", "5")
     assert done.returncode == 0, done.stderr
     assert {p.name for p in (fleet / "truth").iterdir()} == {"design.parquet", "events.parquet", "health.parquet"}
-    well = hdt("doctor", "--landing", str(fleet / "landing"), "--home", str(tmp_path / "home"))
+    well = hdt("doctor", "--landing", fleet / "landing", "--home", tmp_path / "home")
     assert well.returncode == 0, well.stdout
-    ill = hdt("doctor", "--landing", str(fleet / "nothing"), "--json")
+
+
+def test_doctor_names_a_missing_zone(tmp_path):
+    ill = hdt("doctor", "--landing", tmp_path / "nothing", "--json")
     assert ill.returncode == 1
     assert [c["check"] for c in json.loads(ill.stdout) if not c["well"]] == ["landing zone"]
 
@@ -242,9 +255,7 @@ def test_backfill_takes_its_dates_only(sample_landing, tmp_path):
     done = hdt("backfill", *where, "--tail", "LX-AAB", "--since", "2024-03-10", "--until", "2024-03-12", "--json")
     assert done.returncode == 0, done.stderr + done.stdout
     sql = "select distinct tail, substr(flight_id, 8, 8) as day from flights order by day"
-    with connect(home) as con:
-        days = con.execute(sql).fetchall()
-    assert days == [("LX-AAB", f"202403{d}") for d in (10, 11, 12)]
+    assert query(home, sql) == [("LX-AAB", f"202403{d}") for d in (10, 11, 12)]
 
 
 def test_library_warnings_stay_silent():
@@ -261,7 +272,7 @@ def test_library_warnings_stay_silent():
     assert (ended.stdout, ended.stderr) == ("", "")
 
 
-def typed_in(*words: str, **env: str) -> str:
+def output_of(*words: str, **env: str) -> str:
     done = CliRunner().invoke(app, list(words), env=env, prog_name="hdt")
     assert done.exit_code == 0, done.output
     return done.output
@@ -269,13 +280,16 @@ def typed_in(*words: str, **env: str) -> str:
 
 def test_help_lists_commands_in_order():
     load_extensions()
-    listed = typed_in("--help", COLUMNS="80").partition("Commands:")[2]
+    listed = output_of("--help", COLUMNS="80").partition("Commands:")[2]
     names = [line.split()[0] for line in listed.strip().splitlines()]
     assert names == [*ORDER, *sorted(set(names) - set(ORDER))]
     groups = {g.name for g in app.registered_groups}
     assert {c.name or c.callback.__name__ for c in app.registered_commands} | groups == set(names)
-    assert "..." not in listed
-    assert typed_in("--version").strip() == importlib.metadata.version("hybrid-digital-twin")
+    assert "..." not in listed, "no sentence is cut"
+
+
+def test_version_is_that_of_package():
+    assert output_of("--version").strip() == importlib.metadata.version("hybrid-digital-twin")
 
 
 @pytest.mark.parametrize(
@@ -287,12 +301,14 @@ def test_help_lists_commands_in_order():
 )  # fmt: skip
 def test_shell_completes_words(typed, offered):
     place = str(len(typed.split()) - 1)
-    assert typed_in(_HDT_COMPLETE="complete_bash", COMP_WORDS=typed, COMP_CWORD=place).split() == offered
+    assert output_of(_HDT_COMPLETE="complete_bash", COMP_WORDS=typed, COMP_CWORD=place).split() == offered
 
 
-def test_each_shell_gets_its_script():
-    for shell, script in (("bash", "complete -o default"), ("zsh", "compdef"), ("fish", "complete")):
-        assert script in typed_in(_HDT_COMPLETE=f"source_{shell}")
+@pytest.mark.parametrize(
+    ("shell", "script"), [("bash", "complete -o default"), ("zsh", "compdef"), ("fish", "complete")]
+)
+def test_each_shell_gets_its_script(shell, script):
+    assert script in output_of(_HDT_COMPLETE=f"source_{shell}")
 
 
 def test_demo_ends_with_open_alerts():

@@ -44,13 +44,24 @@ def test_every_table_has_an_asset(specs):
     assert set(specs) == {*TABLES, *(f"catalog/{view}" for view in views()), "report"}
     assert set(TABLES) == set(LINEAGE)
     assert {s.group_name for s in specs.values()} == GROUPS
-    read = {d.asset_key.path[-1] for d in specs["report"].deps}
-    assert {"unit_rows", "alert_states", "quarantine"} <= read < set(views())
-    for table, recipe in LINEAGE.items():
-        upstream = {d.asset_key.path[-1] for d in specs[table].deps}
-        stems = {u.split("_")[0] for u in upstream}
-        for parent in recipe.parents:
-            assert parent in upstream or parent.split("_")[0] in stems, (table, parent, upstream)
+
+
+def names_upstream(spec: dg.AssetSpec) -> set[str]:
+    return {d.asset_key.path[-1] for d in spec.deps}
+
+
+def test_report_depends_on_views(specs):
+    assert {"unit_rows", "alert_states", "quarantine"} <= names_upstream(specs["report"]) < set(views())
+
+
+@pytest.mark.parametrize(("table", "recipe"), LINEAGE.items(), ids=LINEAGE)
+def test_asset_depends_on_its_parents(specs, table, recipe):
+    upstream = names_upstream(specs[table])
+    stems = {u.split("_")[0] for u in upstream}
+    assert [p for p in recipe.parents if p not in upstream and p.split("_")[0] not in stems] == []
+
+
+def test_assets_of_files_wait_for_nights(specs):
     alone = {key for key, spec in specs.items() if spec.automation_condition}
     # none of what is made from files; nor what follows a baseline, which seldom moves when its parents do
     files = {table for table, recipe in LINEAGE.items() if recipe.files or recipe.baseline or not recipe.parents}
@@ -69,9 +80,8 @@ def test_view_depends_on_its_sources(specs, view):
 @pytest.mark.parametrize("table", TABLES)
 def test_asset_describes_itself(specs, table):
     spec = specs[table]
-    assert len(spec.owners) == 1
+    assert (len(spec.owners), len(spec.kinds)) == (1, 2)
     assert "deltalake" in spec.kinds
-    assert len(spec.kinds) == 2
     assert len(spec.description or "") > 30
     assert spec.code_version == LINEAGE[table].code
     partitions = {"flight": dg.MultiPartitionsDefinition, "aircraft": dg.DynamicPartitionsDefinition}
@@ -84,12 +94,17 @@ def test_every_asset_has_blocking_check(defs):
     keys = {(k.asset_key.path[-1], k.name) for k in graph.asset_check_keys}
     assert {(t, CHECK) for t in TABLES} <= keys
     assert all(graph.get(k).blocking for k in graph.asset_check_keys)
-    repository = defs.get_repository_def()
-    assert [s.name for s in repository.schedule_defs] == ["every_night"]
-    sensors = {s.name: s.default_status for s in repository.sensor_defs}
-    assert set(sensors) == {"landing_zone", "failed_night", "publish_what_is_newer", "make_what_follows"}
-    assert set(sensors.values()) == {dg.DefaultSensorStatus.STOPPED}
-    assert repository.schedule_defs[0].default_status == dg.DefaultScheduleStatus.STOPPED
+
+
+def test_schedule_is_off_at_first(defs):
+    schedules = {s.name: s.default_status for s in defs.get_repository_def().schedule_defs}
+    assert schedules == {"every_night": dg.DefaultScheduleStatus.STOPPED}
+
+
+def test_sensors_are_off_at_first(defs):
+    sensors = {s.name: s.default_status for s in defs.get_repository_def().sensor_defs}
+    names = ("landing_zone", "failed_night", "publish_what_is_newer", "make_what_follows")
+    assert sensors == dict.fromkeys(names, dg.DefaultSensorStatus.STOPPED)
 
 
 def test_failed_run_is_sent_to_receivers(tmp_path):
@@ -107,33 +122,49 @@ def test_failed_run_is_sent_to_receivers(tmp_path):
     assert "no landing zone at" in page.read_text()
 
 
-def test_unbalanced_account_blocks():
-    """delivered = loaded + quarantined + duplicate, or the table is not stored and nothing after it runs."""
-    row = {"operator": "AQX", "tail": "LX-AAA", "file": "a.csv", "flight_id": "LX-AAA_20240525_04"}
-    account = pl.DataFrame(row | {"delivered": 42, "loaded": 40, "quarantined": 1, "duplicate": 1})
-    (check, output) = _check_and_store("raw_deliveries", account, {}, {}, list)
+ACCOUNT = pl.DataFrame(
+    {"operator": "AQX", "tail": "LX-AAA", "file": "a.csv", "flight_id": "LX-AAA_20240525_04",
+     "delivered": 42, "loaded": 40, "quarantined": 1, "duplicate": 1}
+)  # fmt: skip
+
+
+def test_balanced_account_is_stored():
+    """delivered = loaded + quarantined + duplicate."""
+    (check, output) = _check_and_store("raw_deliveries", ACCOUNT, {}, {}, list)
     assert check.passed
-    assert output.value.equals(account)
-    events = _check_and_store("raw_deliveries", account.with_columns(loaded=pl.lit(39, pl.Int64)), {}, {}, list)
+    assert output.value.equals(ACCOUNT)
+
+
+def test_unbalanced_account_blocks():
+    """The table is not stored and nothing after it runs."""
+    events = _check_and_store("raw_deliveries", ACCOUNT.with_columns(loaded=pl.lit(39, pl.Int64)), {}, {}, list)
     assert not next(events).passed
     with pytest.raises(dg.Failure, match="not stored: balances"):
         next(events)
 
 
-def test_sensor_waits_for_quiet(sample_landing, tmp_path, monkeypatch):
+@pytest.fixture
+def look(sample_landing, tmp_path):
+    """Let the sensor look at the landing zone."""
     home = Home(landing=str(sample_landing), home=str(tmp_path / "home"))
 
-    def look():
+    def requests():
         with dg.build_sensor_context(resources={"home": home}) as context:
             return list(definitions.landing_zone(context))
 
+    return requests
+
+
+def test_sensor_waits_for_quiet(look, monkeypatch):
     monkeypatch.setattr(definitions, "QUIET_S", 10**12)
     (fresh,) = look()
     assert "waiting" in fresh.skip_message
+
+
+def test_sensor_fires_once_a_state(look, monkeypatch):
     monkeypatch.setattr(definitions, "QUIET_S", -1)
-    first = look()
-    second = look()
-    assert first[0].run_key == second[0].run_key
+    first, second = (look()[0].run_key for _ in range(2))
+    assert first == second
 
 
 def test_job_works_like_the_command(own_home):
@@ -158,6 +189,9 @@ def test_job_works_like_the_command(own_home):
 def test_project_names_the_definitions():
     tool = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["tool"]
     assert tool["dagster"]["module_name"] == tool["dg"]["project"]["code_location_target_module"] == LOCATION
+
+
+def test_cell_key_equals_dagsters():
     (ours,) = resources.cell_keys([("AAA:T1", "20260101_02")])
     stock = dg.MultiPartitionKey({"flight": "20260101_02", "aircraft": "AAA:T1"})
     for other in (stock, pickle.loads(pickle.dumps(ours))):

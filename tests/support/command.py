@@ -9,6 +9,11 @@ from unittest.mock import patch
 from pipelines.cli import main
 
 
+def command_line(*words: object) -> list[str]:
+    """The command for a process of its own."""
+    return [sys.executable, "-c", "from pipelines.cli import main; main()", *map(str, words)]
+
+
 def hdt(*words: object) -> CompletedProcess[str]:
     """Run a command: its exit code and what it printed."""
     code = 0

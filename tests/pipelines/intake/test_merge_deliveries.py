@@ -18,14 +18,13 @@ CSV = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
 COPY = "AQX/LX-AAA/acms/copy.csv"
 
 
-def test_conflicting_row_is_set_aside(good_flight, deliver, read, now):
+def test_conflicting_row_is_set_aside(good_flight, deliver, read):
     files = deliver({CSV: good_flight, COPY: field(5, "hx_out_degc", b"77.5")(good_flight)})
     merged = merge_deliveries([read(files).rows], {f.path: f.received_at for f in files})
-    assert merged.rows.height == 42
-    assert merged.duplicates["n_duplicate"].sum() == 41
+    assert (merged.rows.height, merged.duplicates["n_duplicate"].sum()) == (42, 41)
     (conflict,) = merged.quarantine.rows(named=True)
-    assert (conflict["reason"], conflict["scope"], conflict["row"]) == ("conflicting_delivery", "row", 6)
-    assert conflict["column_name"] == "hx_out_k"
+    expected = {"reason": "conflicting_delivery", "scope": "row", "row": 6, "column_name": "hx_out_k"}
+    assert expected.items() <= conflict.items()
     assert (CSV in conflict["detail"]) != (conflict["file"] == CSV)
     assert conflict["received_at"] is not None
 

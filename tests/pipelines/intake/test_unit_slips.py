@@ -49,7 +49,7 @@ SWAPPED = [
     ("pt_psia", "cc_out_psia"),
 ]
 LEAST = 0.85
-"""Share of rows that must be told. Missed are flights with a dead sensor, and those near -40 degrees, where Fahrenheit
+"""Share of rows that must be found. Missed are flights with a dead sensor, and those near -40 degrees, where Fahrenheit
 and Celsius say the same."""
 
 
@@ -88,7 +88,7 @@ def test_slip_names_its_unit(columns, scale, offset, unit, eighth):
     slips = find_unit_slips(recorded.with_columns((pl.col(c) * scale + offset).round(3) for c in columns))
     right = count_slips(slips, columns, f"It fits {unit}.")
     assert right > LEAST * recorded.height
-    assert slips.height - right < 0.12 * recorded.height  # told, but of another unit
+    assert slips.height - right < 0.12 * recorded.height  # found, but as another unit
 
 
 def _true_kt(mach: pl.Expr) -> pl.Expr:
