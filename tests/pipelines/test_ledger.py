@@ -8,7 +8,6 @@ import os
 import shutil
 import sqlite3
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from command import command_line
 from databases import SERVER, new_database
 
 from pipelines.orchestration import around_night
@@ -51,17 +51,17 @@ def _cells(*rows: tuple[str, str, str, str]) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize(
-    ("held", "asked", "waits"), [(True, True, False), (True, False, True), (False, True, True), (False, False, True)]
+    ("first", "second", "waits"), [(True, True, False), (True, False, True), (False, True, True), (False, False, True)]
 )
-def test_shared_turns_overlap(ledger, held, asked, waits):
+def test_shared_turns_overlap(ledger, first, second, waits):
     """Turns that both share overlap; a turn alone waits for every other, and they for it."""
 
     def store() -> None:
-        with ledger.turn(shared=asked):
+        with ledger.turn(shared=second):
             pass
 
     with ThreadPoolExecutor(1) as pool:
-        with ledger.turn(shared=held):
+        with ledger.turn(shared=first):
             other = pool.submit(store)
             done, _ = wait([other], timeout=0.3 if waits else 30)
             assert bool(done) != waits
@@ -71,14 +71,27 @@ def test_shared_turns_overlap(ledger, held, asked, waits):
 def test_ledger_lists_registered_files(ledger):
     sizes_and_times = {path: record[:2] for path, record in ledger.file_records().items()}
     assert sizes_and_times == {"a/1.csv": (2**40, 2**62), "a/m.csv": (1, 1), "b/1.csv": (1, 1)}
-    assert ledger.files(["acms", "cpl"])["path"].sort().to_list() == ["a/1.csv", "b/1.csv"]
+
+
+def test_files_are_read_by_kind(ledger):
+    paths = [ledger.files(kinds)["path"].sort().to_list() for kinds in (["acms", "cpl"], [])]
+    assert paths == [["a/1.csv", "b/1.csv"], []]
     assert ledger.files(["acms"]).schema["mtime_ns"] == pl.Int64
-    assert ledger.files([]).is_empty()
+
+
+def test_flights_name_their_files(ledger):
     assert ledger.flight_inputs().sort("flight_id").rows()[0] == (*A, "LX-AAA_20240101_01", "a/1.csv=d1")
     assert ledger.flight_files().height == 3
+
+
+def test_nights_stand_in_order(ledger):
     for k in range(12):
         ledger.note_night(("2024-01-01", "2024-01-01", k, 0, 0, 0, "{}"))
     assert ledger.nights()["files"].to_list() == [str(k) for k in range(12)]
+
+
+def test_changed_file_replaces_its_record(ledger):
+    """And adds to its flights."""
     ledger.register([("a/1.csv", *A, "acms", 9, 9, "new")], {"a/1.csv": [(*A, "LX-AAA_20240103_01")]})
     assert ledger.file_records()["a/1.csv"][:2] == (9, 9)
     flight_inputs = ledger.flight_inputs().filter(pl.col("tail") == A[1])
@@ -96,11 +109,15 @@ def test_remarked_cell_has_last_version(ledger):
 
 
 def test_run_reads_own_aircraft(ledger):
+    """And the fleet's."""
     ledger.mark("raw_flights", _cells((*A, "f1", "v1"), (*B, "f1", "v1"), ("", "", "", "fleet")))
     own = ledger.of([A])
     assert set(own.cells("raw_flights")["tail"]) == {A[1], ""}
     assert set(own.flight_inputs()["tail"]) == {A[1]}
     assert own.files(["acms"])["path"].to_list() == ["a/1.csv"]
+
+
+def test_run_reads_own_flights(ledger):
     cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": list("abc"), "version": list("123")})
     ledger.mark("legs_samples", cells)
     assert ledger.of([("AAA", "T1")], ["b", "x"]).cells("legs_samples").rows() == [("AAA", "T1", "b", "2")]
@@ -125,7 +142,8 @@ def _hold(home: Path, ready, over) -> None:
 
 
 def test_lock_ends_with_its_process(ledger, tmp_path):
-    """A second home stands for a second machine; without a common database each home is a fleet of its own."""
+    """Until then there is one night at a time, though homes differ: a second home stands for a second machine; without
+    a common database each home is a fleet of its own."""
     spawn = multiprocessing.get_context("spawn")
     ready = spawn.Event()
     over = spawn.Event()
@@ -149,12 +167,12 @@ def test_lock_ends_with_its_process(ledger, tmp_path):
     pytest.fail("the lock outlived its process")
 
 
-def test_ledger_without_tables_is_empty(tmp_path):
+@pytest.mark.parametrize("read_only", [True, False])
+def test_ledger_without_tables_is_empty(tmp_path, read_only):
     with closing(sqlite3.connect(tmp_path / FILE)) as con:
         con.execute("pragma journal_mode=wal")
     assert (tmp_path / FILE).stat().st_size
-    for read_only in (True, False):
-        assert Ledger(tmp_path, url="", read_only=read_only).file_records() == {}
+    assert Ledger(tmp_path, url="", read_only=read_only).file_records() == {}
 
 
 SECRET = "s3cr3t-word"
@@ -193,8 +211,7 @@ def test_command_names_silent_database(variable, message, tmp_path):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "landing/fleet.csv").touch()
     shutil.copy(Path(__file__).parents[2] / "deploy/dagster.yaml", tmp_path / "home/dagster")
-    words = ["nightly", "--landing", str(tmp_path / "landing"), "--home", str(tmp_path / "home")]
-    command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]
+    command = command_line("nightly", "--landing", tmp_path / "landing", "--home", tmp_path / "home")
     wrong = os.environ | {variable: f"postgresql://hdt:{SECRET}@127.0.0.1:1/none"}
     done = subprocess.run(command, env=wrong, capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -211,12 +228,25 @@ def test_changed_cells_last_until_settled(ledger):
     ledger.register([two], {two[0]: [(*two[1:3], "T1_20260101_01")]})
     assert ledger.settled_version() == "so"
     assert set(ledger.changed_cells().rows()) == {("AAA", "T1", ""), ("AAA", "T1", "T1_20260101_01")}
-    ledger.delete_cells(["features"], ("AAA", "T1"))
-    assert ledger.settled_version() is None
+
+
+def test_ledger_settles_one_version(ledger):
     ledger.settle("so")
-    assert ledger.is_settled("so")
-    assert not ledger.is_settled("otherwise")
-    ledger.mark("features", _cells((*A, "", "1")))
+    assert [ledger.is_settled(version) for version in ("so", "otherwise")] == [True, False]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda ledger: ledger.delete_cells(["features"], ("AAA", "T1")),
+        lambda ledger: ledger.mark("features", _cells((*A, "", "1"))),
+    ],
+    ids=["deleted", "marked"],
+)
+def test_changed_cells_end_settlement(ledger, change):
+    ledger.settle("so")
+    change(ledger)
+    assert ledger.settled_version() is None
     assert not ledger.is_settled("so")
 
 
@@ -228,6 +258,9 @@ def test_aircraft_cells_make_one_text(ledger):
     by_tail = {tail: sorted(lines.split("|")) for _, tail, lines in ledger.lines("raw_flights").rows()}
     assert by_tail == {tail: [f"AAA={tail}=a=2", f"AAA={tail}=b=1"] for tail in ("T1", "T10")}
     assert ledger.of([("AAA", "T1")]).lines("raw_flights")["tail"].to_list() == ["T1"]
+
+
+def test_table_without_cells_has_no_text(ledger):
     assert ledger.lines("legs_samples").is_empty()
 
 

@@ -49,8 +49,12 @@ def test_damaged_ledger_is_restored(ledger, damage):
     assert repair_ledger(ledger) is None
 
 
-def test_later_lines_are_no_damage(ledger):
+def mark_anew(ledger: Ledger) -> None:
     ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
+
+
+def test_later_lines_are_no_damage(ledger):
+    mark_anew(ledger)
     assert find_ledger_fault(ledger) is None
     copy_ledger(ledger)
     assert len(list(ledger.home.glob("*.copy"))) == 1
@@ -58,7 +62,7 @@ def test_later_lines_are_no_damage(ledger):
 
 
 def test_killed_copy_leaves_whole_ledger(ledger, monkeypatch):
-    ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
+    mark_anew(ledger)
 
     def killed(event: str, *_: object) -> None:
         if event.startswith("hdt."):
@@ -73,12 +77,16 @@ def test_killed_copy_leaves_whole_ledger(ledger, monkeypatch):
 
 
 def test_torn_ledger_is_restored(ledger):
-    ledger.mark("raw_flights", CELL.with_columns(version=pl.lit("v2")))
+    """As it was at the night's end."""
+    mark_anew(ledger)
     ledger.flush()
     path = ledger.home / "ledger.sqlite"
     path.write_bytes(path.read_bytes()[:5000])
     assert repair_ledger(ledger)
     assert ledger.cells("raw_flights").equals(CELL)
+
+
+def test_ledger_without_copy_begins_anew(ledger):
     for file in (*ledger.home.glob("*.copy"), ledger.home / "ledger.sqlite"):
         file.write_bytes(b"nothing")
     assert "taken in again" in str(repair_ledger(ledger))

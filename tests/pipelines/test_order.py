@@ -1,5 +1,6 @@
 """The order of runs follows from what the stages are made from; how cells are shared out to them."""
 
+from collections.abc import Iterable
 from itertools import permutations
 
 import dagster as dg
@@ -32,6 +33,9 @@ def test_night_takes_eleven_runs():
         "flight",
         *["aircraft", "fleet"] * 2,
     ]
+
+
+def test_every_step_has_a_label():
     assert all(any(stage.label for stage in step.stages) for step in steps(STAGES))
 
 
@@ -39,16 +43,17 @@ HEALTH = {"twin_health", "legs_admitted", "features", "features_alerts", "raw_ca
 
 
 @pytest.mark.parametrize(
-    ("stale", "made"),
+    ("stale", "names"),
     [
         ("raw_components", {"raw_components", "calibration_components"}),
         ("twin_health", HEALTH),
         ("features_alerts", {"features_alerts", "raw_cases"}),
     ],
 )
-def test_step_makes_stale_stages_only(stale, made):
+def test_step_makes_stale_stages_only(stale, names):
+    """Those that follow from a stale one."""
     (step,) = [step for step in steps(STAGES) if STAGE[stale] in step.stages]
-    assert step.tables([stale]) == [t for stage in step.stages if stage.name in made for t in stage.tables]
+    assert step.tables([stale]) == [t for stage in step.stages if stage.name in names for t in stage.tables]
     assert step.tables([]) == []
 
 
@@ -85,10 +90,14 @@ def cells_of(*rows: tuple[str, str, str]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=["operator", "tail", "flight_id"], orient="row")
 
 
-def shared(flights: dict[str, int], keys: list[str]) -> list[tuple[str, ...]]:
+def flight_cells(pairs: Iterable[tuple[str, str]]) -> pl.DataFrame:
+    """Cells of an aircraft's key and a flight's."""
+    return cells_of(*((*a.split(":"), f"{a[4:]}_{f}") for a, f in pairs))
+
+
+def share_out(flights: dict[str, int], keys: list[str]) -> list[tuple[str, ...]]:
     index = batches.PartitionIndex(KEYS, [], {key: {f"{i}" for i in range(n)} for key, n in flights.items()})
-    rows = [(*k.split(":"), "") for k in keys]
-    cells = cells_of(*rows)
+    cells = cells_of(*((*k.split(":"), "") for k in keys))
     return [tuple(batch.aircraft) for batch in index.batches("aircraft", cells, ranges=True)]
 
 
@@ -102,8 +111,11 @@ def shared(flights: dict[str, int], keys: list[str]) -> list[tuple[str, ...]]:
     ],
 )
 def test_aircraft_share_runs_by_flights(each, expected):
-    assert shared(dict.fromkeys(KEYS, each), KEYS) == expected
-    assert shared(dict.fromkeys(KEYS, 1), [KEYS[0], *KEYS[2:]]) == [("AAA:T1",), ("AAA:T3", "BBB:T4")], "one not wanted"
+    assert share_out(dict.fromkeys(KEYS, each), KEYS) == expected
+
+
+def test_gap_of_aircraft_splits_a_run():
+    assert share_out(dict.fromkeys(KEYS, 1), [KEYS[0], *KEYS[2:]]) == [("AAA:T1",), ("AAA:T3", "BBB:T4")]
 
 
 def test_processes_share_runs_evenly():
@@ -119,8 +131,7 @@ def test_batches_hold_wanted_cells_alone():
     flown = {"AAA:T1": {*FLIGHTS}, "AAA:T2": {*FLIGHTS[1:4]}, "BBB:T4": {FLIGHTS[0], FLIGHTS[4]}}
     index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     expected_cells = {("AAA:T1", f) for f in FLIGHTS if f != FLIGHTS[2]} | {("AAA:T2", f) for f in FLIGHTS[1:4]}
-    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in expected_cells]
-    cells = cells_of(*rows)
+    cells = flight_cells(expected_cells)
     batch_cells = [cell for batch in index.batches("flight", cells, ranges=True) for cell in batch.partition_keys()]
     assert sorted(batch_cells) == sorted(f"{a}|{f}" for a, f in expected_cells)
 
@@ -128,8 +139,7 @@ def test_batches_hold_wanted_cells_alone():
 def test_long_history_takes_several_runs(monkeypatch):
     monkeypatch.setattr(batches, "CELLS_A_RUN", 2)
     index = batches.PartitionIndex(KEYS[:1], FLIGHTS, {KEYS[0]: {*FLIGHTS}})
-    cells = pl.DataFrame({"operator": "AAA", "tail": "T1", "flight_id": [f"T1_{f}" for f in FLIGHTS]})
-    runs = list(index.batches("flight", cells))
+    runs = list(index.batches("flight", flight_cells((KEYS[0], f) for f in FLIGHTS)))
     ends = [(FLIGHTS[a], FLIGHTS[b], n) for a, b, n in ((0, 1, 2), (2, 3, 2), (4, 4, 1))]
     assert [(*b.flights, b.size) for b in runs] == ends
 
@@ -138,8 +148,7 @@ def test_scattered_flights_share_one_run():
     flown = {key: {*FLIGHTS} for key in KEYS}
     index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
     pairs = list(zip(KEYS, (FLIGHTS[3], FLIGHTS[0], FLIGHTS[4], FLIGHTS[1]), strict=True))
-    rows = [(*a.split(":"), f"{a[4:]}_{f}") for a, f in pairs]
-    cells = cells_of(*rows)
+    cells = flight_cells(pairs)
     assert len(list(index.batches("flight", cells, ranges=True))) == 4
     (one,) = index.batches("flight", cells)
     assert sorted(one.partition_keys()) == sorted(f"{a}|{f}" for a, f in pairs)
@@ -159,8 +168,7 @@ def test_scattered_aircraft_share_one_run():
 def test_range_holds_no_other_flight():
     flown = {"AAA:T1": {FLIGHTS[0], FLIGHTS[1]}, "AAA:T2": {FLIGHTS[1]}, "AAA:T3": {FLIGHTS[0]}, "BBB:T4": set()}
     index = batches.PartitionIndex(KEYS, FLIGHTS, flown)
-    rows = [("AAA", "T1", f"T1_{FLIGHTS[1]}"), ("AAA", "T2", f"T2_{FLIGHTS[1]}"), ("AAA", "T3", f"T3_{FLIGHTS[0]}")]
-    cells = cells_of(*rows)
+    cells = flight_cells([(KEYS[0], FLIGHTS[1]), (KEYS[1], FLIGHTS[1]), (KEYS[2], FLIGHTS[0])])
     keys = [batch.partition_keys() for batch in index.batches("flight", cells, ranges=True)]
     assert keys == [[f"AAA:T1|{FLIGHTS[1]}", f"AAA:T2|{FLIGHTS[1]}"], [f"AAA:T3|{FLIGHTS[0]}"]]
 
@@ -170,7 +178,11 @@ def test_batch_splits_into_halves():
     one, two = batch.parts()
     assert one.partition_keys() + two.partition_keys() == batch.partition_keys()
     assert (one.flights, two.flights) == ((FLIGHTS[0], FLIGHTS[1]), (FLIGHTS[2], FLIGHTS[4]))
-    assert batches.PartitionBatch(((KEYS[0], ""),)).parts() == batches.PartitionBatch().parts() == []
+
+
+@pytest.mark.parametrize("cells", [((KEYS[0], ""),), ()])
+def test_single_cell_is_not_split(cells):
+    assert batches.PartitionBatch(cells).parts() == []
 
 
 class Together(Runner):
@@ -185,13 +197,18 @@ class Together(Runner):
         return 0, why
 
 
-def test_common_failure_is_mended_alone(monkeypatch):
-    batch = batches.PartitionBatch(tuple((key, "") for key in KEYS))
-    done = Together(None, None, None, {}).make([], batch, "alerts")
+EVERY_AIRCRAFT = batches.PartitionBatch(tuple((key, "") for key in KEYS))
+
+
+def test_common_failure_is_mended_alone():
+    done = Together(None, None, None, {}).make([], EVERY_AIRCRAFT, "alerts")
     assert (done.runs, done.failed) == (5, {})
     assert done.repairs == ("alerts: a run of 4 aircraft stopped, so each was made alone; report it: no",)
+
+
+def test_own_failure_is_not_mended(monkeypatch):
     monkeypatch.setattr(Together, "bad", (KEYS[1],))
-    done = Together(None, None, None, {}).make([], batch, "alerts")
+    done = Together(None, None, None, {}).make([], EVERY_AIRCRAFT, "alerts")
     assert (done.failed, done.repairs) == ({f"alerts: {KEYS[1]}": "no"}, ())
 
 
@@ -212,6 +229,10 @@ def test_halves_mend_a_batch():
     done = OfOneAircraft(None, None, None, {}).make([], batch, "legs")
     line = "legs: a run of 1 aircraft stopped, so each part was made alone; report it: disk full"
     assert (done.runs, done.failed, done.repairs) == (3, {}, (line,))
+
+
+def test_each_reason_stands_once():
+    """With its flights."""
     batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(8)))
     done = OfOneAircraft(None, None, None, {}).make([], batch, "twins")
     assert list(done.failed.values()) == ["flight 3, flight 6: boom; flight 5: bang"]
@@ -220,9 +241,7 @@ def test_halves_mend_a_batch():
 def test_batch_ends_follow_the_partitions():
     late = [*FLIGHTS[1:], FLIGHTS[0]]
     index = batches.PartitionIndex(KEYS, late, {KEYS[0]: {*FLIGHTS}})
-    cells = cells_of(*(("AAA", "T1", f"T1_{flight}") for flight in FLIGHTS))
-
-    (batch,) = index.batches("flight", cells)
+    (batch,) = index.batches("flight", flight_cells((KEYS[0], f) for f in FLIGHTS))
 
     assert batch.flights == (FLIGHTS[1], FLIGHTS[0])
 

@@ -7,6 +7,7 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
+from answers import query
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po
 
@@ -20,7 +21,6 @@ from hdt_core.loading import UserError
 from hdt_core.tables.raw import Signals
 from pipelines import words
 from pipelines.report.explain import explain
-from pipelines.storage.catalog import connect
 from pipelines.words import languages, use_language
 from pipelines.words.evidence import WITH_COLUMNS, action_text, evidence_text
 
@@ -43,9 +43,13 @@ def catalog(language: str):
 
 @pytest.mark.parametrize("language", OTHERS)
 def test_every_message_is_translated(language):
-    """`python -m docs.translations` finds them anew."""
+    """`python -m docs.translations` finds them anew; none is left over."""
     collected, translated = ({m.id for m in c if m.id} for c in (translations.collect_messages(), catalog(language)))
     assert translated == collected
+
+
+@pytest.mark.parametrize("language", OTHERS)
+def test_translation_keeps_its_values(language):
     for message in catalog(language):
         if message.id:
             assert not message.fuzzy
@@ -53,6 +57,10 @@ def test_every_message_is_translated(language):
             for one, translation in zip(forms(message.id), forms(message.string), strict=True):
                 assert fields(translation) == fields(one), message.id
                 assert translation.count("%") == one.count("%"), message.id
+
+
+@pytest.mark.parametrize("language", OTHERS)
+def test_translations_are_compiled(language):
     compiled = BytesIO()
     write_mo(compiled, catalog(language))
     assert compiled.getvalue() == (FOLDER / f"{language}.mo").read_bytes()
@@ -103,8 +111,7 @@ def test_alternatives_are_left_out():
 
 
 def test_english_is_the_stored_paragraph(sample_home):
-    with connect(sample_home) as con:
-        rows = con.execute("select evidence, evidence_phrases from alerts").fetchall()
+    rows = query(sample_home, "select evidence, evidence_phrases from alerts")
 
     assert [evidence_text(phrases, WITH_COLUMNS).replace("\N{MINUS SIGN}", "-") for _, phrases in rows] == [
         evidence for evidence, _ in rows
@@ -114,10 +121,20 @@ def test_english_is_the_stored_paragraph(sample_home):
 def test_signals_have_plain_names():
     assert set(SIGNALS) == set(Signals.columns())
     assert set(CHECKS) == {c.name for c in CHANNELS}
+
+
+def test_german_number_has_its_form():
     with use_language("de"):
         assert words.number(-1234.5, 1) == "\N{MINUS SIGN}1\N{NO-BREAK SPACE}234,5"
-        assert words.several("{n} flight", "{n} flights", 1) == "1 Flug"
-    assert words.several("{n} flight", "{n} flights", 1200) == "1,200 flights"
+
+
+@pytest.mark.parametrize(("language", "n", "text"), [("de", 1, "1 Flug"), ("en", 1200, "1,200 flights")])
+def test_noun_has_its_plural(language, n, text):
+    with use_language(language):
+        assert words.several("{n} flight", "{n} flights", n) == text
+
+
+def test_unknown_language_is_refused():
     assert "de" in OTHERS
     with pytest.raises(UserError, match="no language xx; there are en, de"), use_language("xx"):
         pass
@@ -127,9 +144,8 @@ ENGLISH_WORDS = re.compile(r"\b(the|is|of|with|since|than|and|lost|flights|excha
 
 
 def test_german_alerts_hold_no_english(sample_home):
-    with connect(sample_home) as con:
-        rows = con.execute("select evidence_phrases, evidence_now_phrases, action_phrases from alerts").fetchall()
-        tails = [t for (t,) in con.execute("select distinct tail from alerts").fetchall()]
+    rows = query(sample_home, "select evidence_phrases, evidence_now_phrases, action_phrases from alerts")
+    tails = [t for (t,) in query(sample_home, "select distinct tail from alerts")]
     assert rows
     with use_language("de"):
         texts = [f"{evidence_text(first)} {evidence_text(now)} {action_text(action)}" for first, now, action in rows]
