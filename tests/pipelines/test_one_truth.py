@@ -7,13 +7,13 @@ from pathlib import Path
 import polars as pl
 import pytest
 from alert_texts import evidence_of, text_columns
+from answers import query
+from command import hdt
 from nights import empty_home
 from small_catalog import START, catalog, flight
-from typer.testing import CliRunner
 
 from hdt_core.components import component_rows
 from pipelines.casework import list_cases
-from pipelines.cli import app
 from pipelines.cli.night import print_ranking
 from pipelines.digest.changes import changes_since
 from pipelines.digest.orders import work_orders
@@ -94,43 +94,62 @@ def part(report: str, name: str) -> str:
     return text.replace("\N{NO-BREAK SPACE}", " ")
 
 
-def test_catalog_orders_by_urgency(home, report):
-    with connect(home) as con:
-        opened = con.sql("select alert_id, urgency from open_alerts order by place").fetchall()
-        packs = con.sql("select tail, pack, urgency, diagnoses from fleet_ranking order by place").fetchall()
-    assert opened == [("aaaa1111", "act"), ("bbbb2222", "act"), ("bbbb1111", "plan"), ("aaaa2222", "plan")]
-    assert packs == [
-        ("T-1", 1, "act", "HX_FOULING"), ("T-2", 2, "act", "RAM_DOOR_FAULT"),
-        ("T-2", 1, "plan", "HX_FOULING, SENSOR_FAULT"), ("T-1", 2, "none", None),
-    ]  # fmt: skip
-    names = ["T-1 pack 1 (left)", "T-2 pack 2 (right)", "T-2 pack 1 (left)"]
+OPEN = {"aaaa1111": "act", "bbbb2222": "act", "bbbb1111": "plan", "aaaa2222": "plan"}
+"""Urgency of the open alerts, in their order."""
+RANKED = [
+    ("T-1", 1, "act", "HX_FOULING"), ("T-2", 2, "act", "RAM_DOOR_FAULT"),
+    ("T-2", 1, "plan", "HX_FOULING, SENSOR_FAULT"), ("T-1", 2, "none", None),
+]  # fmt: skip
+NAMES = ["T-1 pack 1 (left)", "T-2 pack 2 (right)", "T-2 pack 1 (left)"]
+
+
+@pytest.mark.parametrize(
+    ("sql", "expected"),
+    [
+        ("select alert_id, urgency from open_alerts order by place", [*OPEN.items()]),
+        ("select tail, pack, urgency, diagnoses from fleet_ranking order by place", RANKED),
+    ],
+)
+def test_catalog_orders_by_urgency(home, sql, expected):
+    assert query(home, sql) == expected
+
+
+def test_cards_follow_the_catalog(report):
     card = r"<h3>([^<]*) <span|<h4>[^<]*<span class=\"tag \w+\">([^<]*)</span>[^<]*<span class=\"small\">case (\w+)"
     cards = re.findall(card, report)
-    in_order = [names[0], "aaaa1111", names[1], "bbbb2222", names[2], "bbbb1111", "aaaa2222", "T-1 pack 2 (right)"]
+    in_order = [NAMES[0], "aaaa1111", NAMES[1], "bbbb2222", NAMES[2], "bbbb1111", "aaaa2222", "T-1 pack 2 (right)"]
     assert [name or case for name, _, case in cards] == in_order
-    assert [(case, badge) for _, badge, case in cards if case] == [(case, URGENCY[u]) for case, u in opened]
+    assert {case: badge for _, badge, case in cards if case} == {case: URGENCY[u] for case, u in OPEN.items()}
+
+
+def test_first_table_follows_the_catalog(report):
     tonight = part(report, "tonight")
-    assert sorted(names, key=tonight.index) == names
+    assert sorted(NAMES, key=tonight.index) == NAMES
     badges = re.findall(BADGE, tonight, re.DOTALL)
-    assert badges == [(tail, str(pack), URGENCY[urgency]) for tail, pack, urgency, _ in packs]
-    for name, urgency in opened:
-        assert f"{URGENCY[urgency]}. Alert {name}." in str(explain(home, name))
+    assert badges == [(tail, str(pack), URGENCY[urgency]) for tail, pack, urgency, _ in RANKED]
 
 
-def test_other_outputs_share_the_order(home, capsys):
-    """Terminal, digest, orders and `case list`."""
-    with connect(home) as con:
-        packs = [f"{t} {p}" for t, p in con.sql("select tail, pack from fleet_ranking order by place").fetchall()]
-        opened = [a for (a,) in con.sql("select alert_id from open_alerts order by place").fetchall()]
-        orders = work_orders(con, {})["alert_id"].to_list()
+@pytest.mark.parametrize(("name", "urgency"), OPEN.items())
+def test_explain_names_the_urgency(home, name, urgency):
+    assert f"{URGENCY[urgency]}. Alert {name}." in str(explain(home, name))
+
+
+def test_terminal_shares_the_order(home, capsys):
     print_ranking(home)
-    assert re.findall(r"AAA (T-\d \d)", capsys.readouterr().out) == packs
-    assert orders == opened
-    assert [r["alert_id"] for r in changes_since(home).changes["new"]] == opened
-    assert [c["alert_id"] for c in list_cases(home)] == opened
-    for name in packs:
-        tail, pack = name.split()
-        assert str(explain(home, f"AAA {name}")).startswith(f"AAA {tail} pack {pack}"), "is printed"
+    assert re.findall(r"AAA (T-\d) (\d)", capsys.readouterr().out) == [(tail, str(pack)) for tail, pack, *_ in RANKED]
+
+
+def test_other_outputs_share_the_order(home):
+    """Digest, orders and `case list`."""
+    with connect(home) as con:
+        orders = work_orders(con, {})["alert_id"].to_list()
+    digest, listed = ([r["alert_id"] for r in rows] for rows in (changes_since(home).changes["new"], list_cases(home)))
+    assert orders == digest == listed == [*OPEN]
+
+
+@pytest.mark.parametrize(("tail", "pack"), [row[:2] for row in RANKED])
+def test_printed_name_explains_the_pack(home, tail, pack):
+    assert str(explain(home, f"AAA {tail} {pack}")).startswith(f"AAA {tail} pack {pack}")
 
 
 @pytest.mark.parametrize(("chance", "urgency"), [(0.501, "act"), (0.499, "plan"), (0.101, "plan"), (0.099, "none")])
@@ -158,6 +177,10 @@ def test_card_parts_then_from_now(report):
     row = tonight[tonight.index("T-1 pack 1") : tonight.index("T-2 pack 2")]
     assert all(text in row for text in ("34 % (32 to 36)", "24 (12 to 36)", "88 %", "fouling since 2024-03-11"))
     assert "16 %" not in row
+
+
+def test_card_weighs_the_evidence(report):
+    card = part(report, "tracks").partition("case aaaa1111")[2].partition("case bbbb2222")[0]
     assert card.index("Now aaaa1111") < card.index("Why it was raised") < card.index("Then aaaa1111")
     assert [role for role in ("Supports:", "Neutral:", "Against:") if role in card] == ["Supports:", "Against:"]
 
@@ -177,27 +200,36 @@ def test_tail_explains_its_worst_pack(home):
     assert answer.startswith("AAA T-2 pack 2 (right): Act now since")
     assert "Do bbbb2222." in answer
     assert "Also AAA T-2 pack 1 (left): Plan, heat exchanger fouling, sensor fault." in answer
-    other = str(explain(home, "T-2 1"))
-    assert other.index("Do bbbb1111.") < other.index("Do aaaa2222."), "of one pack the most urgent alert first"
-    assert "Do bbbb2222." not in other
+
+
+def test_pack_explains_urgent_alert_first(home):
+    answer = str(explain(home, "T-2 1"))
+    assert answer.index("Do bbbb1111.") < answer.index("Do aaaa2222.")
+    assert "Do bbbb2222." not in answer
 
 
 def test_quiet_pack_names_last_alert(home):
-    answer = str(explain(home, "T-1 2"))
-    assert "No alert is open. The last, sensor fault, closed 2024-03-21: alert cccc1111." in answer
-    closed = str(explain(home, "cccc1111"))
-    assert "closed 2024-03-21." in closed
-    assert "At its end (after" in closed
-    done = CliRunner().invoke(app, ["explain", "T-1", "1", "--home", str(home)])
-    assert done.exit_code == 0, done.output
-    assert "AAA T-1 pack 1 (left): Act now since" in done.output
+    last = "No alert is open. The last, sensor fault, closed 2024-03-21: alert cccc1111."
+    assert last in str(explain(home, "T-1 2"))
+
+
+def test_closed_alert_has_its_end(home):
+    answer = str(explain(home, "cccc1111"))
+    assert "closed 2024-03-21." in answer
+    assert "At its end (after" in answer
+
+
+def test_words_need_no_quotes(home):
+    done = hdt("explain", "T-1", "1", "--home", home)
+    assert done.returncode == 0, done.stderr
+    assert "AAA T-1 pack 1 (left): Act now since" in done.stdout
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [("bbbb", "2 alerts begin with bbbb"), ("T-1 3", "no pack or alert"), ("", "no pack or alert")],
 )
-def test_unknown_name_is_refused(home, words, message, capsys):
-    done = CliRunner().invoke(app, ["explain", words, "--home", str(home)])
-    assert done.exit_code != 0
-    assert message in str(done.exception)
+def test_unknown_name_is_refused(home, words, message):
+    done = hdt("explain", words, "--home", home)
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
+    assert message in done.stderr

@@ -28,7 +28,7 @@ def file_limit(limit: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def printed(*words: str, encoding: str) -> str:
+def text_on_terminal(*words: str, encoding: str) -> str:
     """Return what a command prints on a terminal of an encoding."""
     terminal = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
     with patch.object(sys, "argv", ["hdt", *words]), patch.object(sys, "stdout", terminal):
@@ -54,7 +54,7 @@ def test_full_disk_ends_an_export(tmp_path, form, limit):
 def test_text_is_escaped_in_ascii(tmp_path):
     empty_home(tmp_path)
 
-    text = printed("query", "--home", str(tmp_path), "select 'é 😀' as name", encoding="ascii")
+    text = text_on_terminal("query", "--home", str(tmp_path), "select 'é 😀' as name", encoding="ascii")
 
     assert r"| \u00e9 \ud83d\ude00" in text
 
@@ -72,6 +72,6 @@ def test_json_stays_json_in_ascii(tmp_path):
     home = tmp_path / "é"
     empty_home(home)
 
-    text = printed("doctor", "--json", "--landing", str(tmp_path), "--home", str(home), encoding="ascii")
+    text = text_on_terminal("doctor", "--json", "--landing", str(tmp_path), "--home", str(home), encoding="ascii")
 
     assert any(str(home) in check["says"] for check in json.loads(text))

@@ -12,7 +12,7 @@ from soundness import faults
 from spoils import Spoil, column, field
 
 from pipelines.cli.base import app
-from pipelines.cli.doctor import FILES_A_FOLDER, examine, sample_files
+from pipelines.cli.doctor import FILES_A_FOLDER, Check, examine, sample_files
 from pipelines.digest.changes import EMPTY, compare, read_state
 from pipelines.digest.render import as_text
 from pipelines.intake.faults import (
@@ -75,7 +75,21 @@ def zone(tmp_path) -> tuple[Path, Path]:
     return tmp_path / "landing", empty_home(tmp_path / "home").home
 
 
+def silence(zone: tuple[Path, Path], spoils: list[Spoil]) -> list[dict]:
+    """Columns that are silent after a night over these flights."""
+    drop(zone[0], spoils)
+    night(*zone)
+    with read(zone[1]) as con:
+        return silent_columns(con)
+
+
+def check_of(name: str, landing: Path | None, home: Path | None = None) -> Check:
+    """One of the doctor's checks."""
+    return next(c for c in examine(landing, home) if c.name == name)
+
+
 def test_silent_column_names_likely_unit(zone):
+    """On a line that catalog, digest and doctor share."""
     landing, home = zone
     drop(landing, [as_it_is, KNOTS, as_it_is, KNOTS, KNOTS])
     night(landing, home)
@@ -88,71 +102,88 @@ def test_silent_column_names_likely_unit(zone):
         " AQX/LX-AAA/acms/LX-AAA_20240525_05.csv. It fits knots."
     )
     assert f"Columns that fell silent\n- {line}" in as_text(digest)
-    check = next(c for c in examine(None, home) if c.name == "units and wiring")
+    check = check_of("units and wiring", None, home)
     assert not check.well
     assert line in check.message
-    drop(landing, [as_it_is, KNOTS, as_it_is, KNOTS, KNOTS, as_it_is])
-    night(landing, home)
-    with read(home) as con:
-        assert silent_columns(con) == []
+
+
+@pytest.mark.parametrize(
+    ("spoils", "later"),
+    [([as_it_is, KNOTS, as_it_is, KNOTS, KNOTS], as_it_is), ([as_it_is, LATE, LATE], field(7, "hx_out_degc", b"999"))],
+    ids=["good flight", "spike"],
+)
+def test_next_flight_ends_silence(zone, spoils, later):
+    assert silence(zone, spoils) != []
+    assert silence(zone, [*spoils, later]) == []
 
 
 def test_refused_rows_are_silence(zone):
-    landing, home = zone
-    drop(landing, [as_it_is, LATE, LATE])
-    night(landing, home)
-    with read(home) as con:
-        (row,) = silent_columns(con)
+    (row,) = silence(zone, [as_it_is, LATE, LATE])
     assert (row["column_name"], row["reason"], row["n_files"], row["n_refused"]) == ("pack", "bad_pack", 2, 84)
-    drop(landing, [as_it_is, LATE, LATE, field(7, "hx_out_degc", b"999")])
-    night(landing, home)
-    with read(home) as con:
-        assert silent_columns(con) == []
 
 
 def test_night_counts_refused_rows(zone):
+    """Of which file, and why."""
     landing, home = zone
     drop(landing, [as_it_is, LATE])
     new_paths = night(landing, home)
     with read(home) as con:
         line = quarantine_line(con, new_paths)
         assert quarantine_line(con, frozenset()) == ""
-    said = "42 rows of 1 file, most of them of AQX/LX-AAA/acms/LX-AAA_20240525_02.csv (42): pack is not"
-    assert line.startswith(said)
+    assert line.startswith(
+        "42 rows of 1 file, most of them of AQX/LX-AAA/acms/LX-AAA_20240525_02.csv (42): pack is not"
+    )
     assert 'hdt query "select * from quarantine where n_rows > 0"' in line
 
 
+@pytest.mark.parametrize("name", ["contents", "landing zone"])
+def test_doctor_passes_good_files(zone, name):
+    drop(zone[0], [as_it_is] * 4)
+    check = check_of(name, zone[0])
+    assert check.well, check.message
+
+
 def test_doctor_judges_contents(zone):
-    landing, _ = zone
-    drop(landing, [as_it_is] * 4)
-    checks = {c.name: c for c in examine(landing, None)}
-    assert checks["contents"].well, checks["contents"].message
-    assert checks["landing zone"].well
-    drop(landing, [as_it_is] * 4 + [KNOTS])
-    check = {c.name: c for c in examine(landing, None)}["contents"]
+    drop(zone[0], [as_it_is] * 4 + [KNOTS])
+    check = check_of("contents", zone[0])
     assert not check.well
     assert "mach refused in 100 % of 42 rows since 2024-05-25 leg 05" in check.message
     assert "It fits knots." in check.message
-    drop(landing, [as_it_is] * 6)
-    legs = [file.path[-6:-4] for file in sample_files(list_landing(landing).files)]
-    assert (len(legs), legs) == (FILES_A_FOLDER, ["01", "05", "06"]), "of each folder the oldest and the newest"
 
 
-def test_stray_names_share_lines(zone):
-    landing, _ = zone
+def test_doctor_samples_each_folder(zone):
+    """The oldest file and the newest."""
+    drop(zone[0], [as_it_is] * 6)
+    legs = [file.path[-6:-4] for file in sample_files(list_landing(zone[0]).files)]
+    assert (len(legs), legs) == (FILES_A_FOLDER, ["01", "05", "06"])
+
+
+@pytest.fixture
+def stray_zone(zone) -> Path:
+    """A landing zone with names that fit nothing."""
+    landing = zone[0]
     drop(landing, [as_it_is])
     for name in ("AQXLONGNAME", "aqx", "AQX/lx-aaa"):
         (landing / name).mkdir()
     for n in range(5):
         (landing / f"AQX/LX-AAA/acms/note_{n}.txt").write_text("x")
-    lines = ignored_entries(list_landing(landing).quarantine)
-    named = {line.split(":")[0]: line for line in lines}
+    return landing
+
+
+def test_stray_names_share_lines(stray_zone):
+    lines = {line.split(":")[0]: line for line in ignored_entries(list_landing(stray_zone).quarantine)}
     notes = ", ".join(f"AQX/LX-AAA/acms/note_{n}.txt" for n in range(3))
-    assert set(named) == {f"{notes} and 2 more", "AQX/lx-aaa", "AQXLONGNAME, aqx"}
-    assert "2 to 8 capitals and digits, first a letter" in named["AQXLONGNAME, aqx"]
-    check = {c.name: c for c in examine(landing, None)}["landing zone"]
+    assert set(lines) == {f"{notes} and 2 more", "AQX/lx-aaa", "AQXLONGNAME, aqx"}
+    assert "2 to 8 capitals and digits, first a letter" in lines["AQXLONGNAME, aqx"]
+
+
+def test_doctor_names_stray_folder(stray_zone):
+    check = check_of("landing zone", stray_zone)
     assert not check.well
     assert "AQX/lx-aaa" in check.message
+
+
+def test_stray_lines_have_a_limit():
     many = pl.DataFrame({"file": [f"F{n}" for n in range(9)], "detail": [f"so {n}" for n in range(9)]})
     assert len(ignored_entries(many)) == MAX_LINES + 1
 
@@ -184,10 +215,10 @@ def local_times(content: bytes) -> bytes:
     return content.replace(b"Z,", b",")
 
 
-@pytest.mark.parametrize(("spoil", "notes", "said"), [
+@pytest.mark.parametrize(("spoil", "notes", "words"), [
     (nothing, False, "The file is empty."), (LATE, False, "pack is not the number"), (local_times, True, "no zone"),
 ])  # fmt: skip
-def test_file_is_named_with_its_fault(zone, spoil, notes, said):
+def test_file_is_named_with_its_fault(zone, spoil, notes, words):
     landing, home = zone
     drop(landing, [as_it_is, spoil])
     new_paths = night(landing, home)
@@ -196,7 +227,7 @@ def test_file_is_named_with_its_fault(zone, spoil, notes, said):
         (line,) = file_lines(con, new_paths, notes=notes)
 
     assert line.startswith("AQX/LX-AAA/acms/LX-AAA_20240525_02.csv: ")
-    assert said in line
+    assert words in line
 
 
 def test_digest_names_files_with_a_note(zone):
@@ -215,7 +246,7 @@ def test_doctor_reads_every_new_file(zone):
     landing, _ = zone
     drop(landing, [as_it_is, as_it_is, nothing, as_it_is, as_it_is, as_it_is])
 
-    check = next(c for c in examine(landing, None) if c.name == "contents")
+    check = check_of("contents", landing)
 
     assert check.message == "AQX/LX-AAA/acms/LX-AAA_20240525_03.csv: The file is empty."
 
@@ -225,7 +256,7 @@ def test_doctor_names_unlisted_aircraft(zone):
     drop(landing, [as_it_is])
     (landing / "fleet.csv").write_text("operator,tail,packs\nAQX,LX-AAB,2\n")
 
-    check = next(c for c in examine(landing, None) if c.name == "fleet list")
+    check = check_of("fleet list", landing)
 
     assert check.message == "fleet.csv lacks AQX LX-AAA"
 

@@ -49,11 +49,17 @@ def flights(frame: pl.DataFrame) -> set[str]:
     return set(frame["flight_id"])
 
 
-def test_made_cells_are_not_stale(ledger):
-    for table in ("raw_flights", "legs_samples", "calibration_dsm", "twin_flights"):
-        assert stale_cells_of(ledger, [table]).is_empty(), table
+@pytest.mark.parametrize("table", ["raw_flights", "legs_samples", "calibration_dsm", "twin_flights"])
+def test_made_cells_are_not_stale(ledger, table):
+    assert stale_cells_of(ledger, [table]).is_empty()
+
+
+def test_same_file_makes_nothing_stale(ledger):
     deliver(ledger, B, "LX-AAB_20240501_01.csv", ["LX-AAB_20240501_01"], "b1")
     assert stale_cells_of(ledger, ["raw_flights"]).is_empty()
+
+
+def test_second_file_makes_flight_stale(ledger):
     deliver(ledger, A, "LX-AAA_20240502_01.csv", ["LX-AAA_20240502_01"], "c1")
     assert flights(stale_cells_of(ledger, ["raw_flights"])) == {"LX-AAA_20240502_01"}
 
@@ -67,6 +73,7 @@ def test_corrected_file_makes_flights_stale(ledger):
 
 
 def test_new_code_makes_stage_stale(ledger, monkeypatch):
+    """No other, until it was run."""
     monkeypatch.setitem(LINEAGE, "legs_samples", Recipe(("raw_flights",), code="another"))
     assert stale_cells_of(ledger, ["legs_samples"]).height == 3
     assert stale_cells_of(ledger, ["raw_flights"]).is_empty()
@@ -138,24 +145,35 @@ ASSETS = [asset for asset in build_defs(landing=".", home=".").assets if asset.o
 """Those that the ledger follows: what is published is read off them after a night."""
 
 
-@pytest.mark.parametrize("table", ["twin_health", "prognoses"])
-def test_query_order_changes_no_version(ledger, monkeypatch, table):
-    """No database promises one; finer versions are folded for an aircraft, or for the fleet."""
+@pytest.fixture
+def folded_ledger(ledger) -> Ledger:
+    """Finer versions are folded for an aircraft, or for the fleet."""
     tables = "calibration_schedules", "legs_indicators", "features_margin", "features", "prognosis_base", "raw_messages"
     make(ledger, *tables, "raw_maintenance")
     assert ledger.cells("features_margin").height == 3
+    return ledger
+
+
+@pytest.mark.parametrize("table", ["twin_health", "prognoses"])
+def test_query_order_changes_no_version(folded_ledger, monkeypatch, table):
+    """No database promises one."""
     answers = Ledger.lines
-    as_asked = expected_versions(ledger, table)
+    as_asked = expected_versions(folded_ledger, table)
 
     def turned(self: Ledger, asset: str) -> pl.DataFrame:
         backwards = pl.col("lines").str.split("|").list.reverse().list.join("|")
         return answers(self, asset).with_columns(backwards).reverse()
 
     monkeypatch.setattr(Ledger, "lines", turned)
-    assert expected_versions(ledger, table).sort(CELL).equals(as_asked.sort(CELL))
+    assert expected_versions(folded_ledger, table).sort(CELL).equals(as_asked.sort(CELL))
+
+
+@pytest.mark.parametrize("table", ["twin_health", "prognoses"])
+def test_finer_version_changes_the_coarser(folded_ledger, table):
+    before = expected_versions(folded_ledger, table)
     for finer in ("features_margin", "twin_flights"):
-        ledger.mark(finer, ledger.cells(finer)[:1].with_columns(version=pl.lit("other")))
-    assert not expected_versions(ledger, table).sort(CELL).equals(as_asked.sort(CELL))
+        folded_ledger.mark(finer, folded_ledger.cells(finer)[:1].with_columns(version=pl.lit("other")))
+    assert not expected_versions(folded_ledger, table).sort(CELL).equals(before.sort(CELL))
 
 
 @pytest.mark.parametrize("asset", ASSETS, ids=lambda asset: asset.op.name)
@@ -174,9 +192,12 @@ def test_untracked_reading_is_refused():
 
     with pytest.raises(ValueError, match="residuals reads raw_fleet"):
         stage(residuals)
-    # a shop visit after commissioning leaves flights as they are, and makes the track of its aircraft stale
-    assert "raw_maintenance" not in upstream_tables(STAGE["twin_flights"])
-    assert "raw_maintenance" in upstream_tables(STAGE["twin_health"])
+
+
+@pytest.mark.parametrize(("name", "is_followed"), [("twin_flights", False), ("twin_health", True)])
+def test_later_work_renews_tracks_alone(name, is_followed):
+    """A shop visit after commissioning leaves flights as they are, and makes the track of its aircraft stale."""
+    assert ("raw_maintenance" in upstream_tables(STAGE[name])) is is_followed
 
 
 def test_limits_make_alerts_stale(ledger):
