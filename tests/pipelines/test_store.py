@@ -48,6 +48,9 @@ def stored_rows(store: Store) -> list[tuple[str, int]]:
 def test_empty_merge_makes_no_shard(store):
     store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights_of())
     assert not store.tables.shards("raw_flights")
+
+
+def test_empty_merge_removes_the_flight(store):
     merge(store, [MAY])
     store.merge("raw_flights", {AIRCRAFT: [MAY]}, flights_of())
     assert store.read_table("raw_flights").is_empty()
@@ -93,10 +96,17 @@ def test_missing_table_reads_as_empty(store):
     frame = store.read_table("prognoses")
     assert frame.is_empty()
     assert frame.columns == list(TABLES["prognoses"].schema.columns())
-    store.declare("prognoses")
-    store.declare("prognoses")
+
+
+def test_declared_table_has_one_shard(store):
+    frame = store.read_table("prognoses")
+    for _ in range(2):
+        store.declare("prognoses")
     assert len(store.tables.shards("prognoses")) == 1
     assert store.read_table("prognoses").equals(frame)
+
+
+def test_fleet_table_has_one_shard(store):
     for version in ("1", "2"):
         row = pl.DataFrame({"model_version": [version], "card": ["{}"], "model": [b"x"]})
         store.replace("prognosis_model", [FLEET], row)
@@ -109,10 +119,16 @@ def test_variable_places_the_tables(tmp_path, monkeypatch):
     merge(Store(tmp_path / "home"), [MAY])
     assert len(list((tmp_path / "elsewhere/raw_flights/AQX/LX-AAA").glob("2024-05.*.parquet"))) == 1
     assert not (tmp_path / "home").exists()
+
+
+def test_unknown_place_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("HDT_STORE_URL", "gs://bucket")
     with pytest.raises(StoreError, match="HDT_STORE_URL is a folder or s3"):
         _ = Store(tmp_path).place
-    monkeypatch.delenv("HDT_STORE_URL")
+
+
+def test_tables_lie_below_the_home(tmp_path, monkeypatch):
+    monkeypatch.delenv("HDT_STORE_URL", raising=False)
     assert Store(tmp_path / "home").place.url == str(tmp_path / "home/tables")
 
 
@@ -124,6 +140,10 @@ def test_same_rows_make_no_commit(store):
     merge(store, ids[::-1])
     assert store.tables.shards("raw_flights") == first
     assert store.tables.open("raw_flights").version() == version
+
+
+def test_many_aircraft_make_one_commit(store):
+    merge(store, [MAY, MAY_TOO])
     other = ("BZR", "LX-AAA")
     both = pl.concat([flights_of(MAY), flights_of(MAY).with_columns(operator=pl.lit("BZR"))])
     store.merge("raw_flights", {AIRCRAFT: [MAY], other: [MAY]}, both)
@@ -144,12 +164,18 @@ def test_stray_rows_are_refused(store):
     assert stored_rows(store) == [(MAY, 1)]
 
 
+DOUBLED = pl.concat([flights_of(MAY), flights_of(MAY, n=2)])
+
+
 def test_repeated_key_is_refused(store):
-    doubled = pl.concat([flights_of(MAY), flights_of(MAY, n=2)])
     with pytest.raises(StoreError, match=f"AQX/LX-AAA/2024-05 would hold 1 keys more than once, such as .*{MAY}"):
-        store.merge("raw_flights", {AIRCRAFT: [MAY]}, doubled)
+        store.merge("raw_flights", {AIRCRAFT: [MAY]}, DOUBLED)
     assert store.read_table("raw_flights").is_empty()
-    store.tables.write("raw_flights", {"AQX/LX-AAA/2024-05": doubled})  # past the store's check
+
+
+def test_stored_repetition_stops_a_merge(store):
+    """Until the flight comes again."""
+    store.tables.write("raw_flights", {"AQX/LX-AAA/2024-05": DOUBLED})  # past the store's check
     with pytest.raises(StoreError, match="more than once"):
         store.merge("raw_flights", {AIRCRAFT: [MAY_TOO]}, flights_of(MAY_TOO))
     merge(store, [MAY])
@@ -170,23 +196,34 @@ def test_other_libraries_open_the_table(sample_home, table):
     assert read_back.schema == empty.schema
 
 
-def test_table_is_opened_once(tmp_path, monkeypatch):
-    """A log of years takes a while to read; another process may have written meanwhile."""
-    opened = []
-    open_ = Deltas.open
+@pytest.fixture
+def openings(tmp_path, monkeypatch) -> list[tuple]:
+    """How often a declared table is opened."""
+    calls = []
+    open_table = Deltas.open
     Store(tmp_path).declare("raw_flights")
-    monkeypatch.setattr(Deltas, "open", lambda *arguments: opened.append(arguments) or open_(*arguments))
+    monkeypatch.setattr(Deltas, "open", lambda *arguments: calls.append(arguments) or open_table(*arguments))
+    return calls
+
+
+def test_table_is_opened_once(tmp_path, openings):
+    """Whoever asks: a log of years takes a while to read."""
     for n in (1, 2):
         merge(Store(tmp_path), [MAY, JUNE], n)
         assert stored_rows(Store(tmp_path)) == [(MAY, n), (JUNE, n)]
         assert Store(tmp_path).declare("raw_flights").number == n
-    assert opened == []
+    assert openings == []
+
+
+def test_foreign_commit_reopens_the_table(tmp_path, openings):
+    """Another process may write meanwhile."""
+    merge(Store(tmp_path), [MAY, JUNE], 2)
     elsewhere = shutil.copytree(tmp_path / "tables", tmp_path / "other" / "tables").parent
     merge(Store(elsewhere), [MAY], 3)
-    shutil.copytree(elsewhere / "tables", tmp_path / "tables", dirs_exist_ok=True)  # as another process would write
-    opened.clear()
+    shutil.copytree(elsewhere / "tables", tmp_path / "tables", dirs_exist_ok=True)
+    openings.clear()
     assert stored_rows(Store(tmp_path)) == [(MAY, 3), (JUNE, 2)]
-    assert len(opened) == 1
+    assert len(openings) == 1
 
 
 def test_new_column_widens_the_table(tmp_path):
