@@ -108,11 +108,17 @@ def python(tree: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 def test_suite_takes_additions(tree):
     """Contract of estimators, declared features, order of stages, views and their meanings."""
+    of_views = (
+        "test_view_header_names_grain_sources",
+        "test_every_column_has_meaning",
+        "test_dictionary_is_up_to_date",
+        "test_catalog_comments_everything",
+        "test_features_are_stored_as_declared",
+    )
     relevant = (
         "tests/hdt_core/estimation/test_estimators.py",
         "tests/pipelines/test_order.py",
-        "tests/sql/test_sample_fleet.py::test_view_header_names_grain_sources",
-        "tests/sql/test_sample_fleet.py::test_every_column_has_meaning",
+        *(f"tests/sql/test_sample_fleet.py::{test}" for test in of_views),
     )
     done = python(tree, "-m", "pytest", "-vv", "-p", "no:cacheprovider", "-k", "patient or not estimator", *relevant)
     assert done.returncode == 0, done.stdout[-3000:]

@@ -29,10 +29,16 @@ def test_catalog_lists_views_as_tables(opened):
     listed = opened.sql("select table_schema, table_name from information_schema.tables").fetchall()
     assert {schema for schema, _ in listed} == {"main", "tables"}
     assert {name for schema, name in listed if schema == "main"} == set(views())
+
+
+def test_columns_have_type_with_meaning(opened):
     query = "select data_type, comment from duckdb_columns() where schema_name = 'main' and not internal"
     columns = opened.sql(query).fetchall()
     assert len(columns) > 300
     assert all(kind and comment for kind, comment in columns)
+
+
+def test_start_here_is_table_of_page(opened):
     page = (Path(__file__).parents[2] / "docs/catalog.md").read_text(encoding="utf-8")
     table = re.findall(r"^\| ([a-z][^|]*\?) \| `(\w+)`", page, re.MULTILINE)
     assert len(table) == 6

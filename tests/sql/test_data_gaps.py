@@ -7,30 +7,25 @@ from answers import rows
 from small_catalog import OWN, catalog, flight
 
 
-def test_gaps_are_listed_by_kind():
-    def leg(day: int, number: int) -> dict:
-        row = flight(day)
-        at = row["departed_at"] + dt.timedelta(hours=number)
-        return row | {"flight_id": row["flight_id"][:-2] + f"{number:02d}", "departed_at": at}
+def leg_of(number: int, hours: float, day: int = 0) -> dict:
+    """A leg of a day, by its number, that departs so many hours into it."""
+    row = flight(day)
+    return row | {
+        "flight_id": f"{row['flight_id'][:-2]}{number:02d}",
+        "departed_at": row["departed_at"] + dt.timedelta(hours=hours),
+    }
 
-    days = [d for d in range(40) if not 10 <= d < 20]
-    flown = [leg(d, 1) for d in days] + [leg(5, 4)] + [flight(d, tail="T-2") for d in range(20)]
+
+def test_gaps_are_listed_by_kind():
+    flown = [leg_of(1, 1, d) for d in range(40) if not 10 <= d < 20] + [leg_of(4, 4, 5)]
+    others = [flight(d, tail="T-2") for d in range(20)]
     fleet = [{"operator": "AAA", "tail": t} for t in ("T-1", "T-2", "T-3")]
-    con = catalog(raw_flights=flown, raw_fleet=fleet)
+    con = catalog(raw_flights=flown + others, raw_fleet=fleet)
     gaps = rows(con, "select tail, gap, n_flights, round(silent_days) from data_gaps order by 1, 2")
     assert gaps == [
         ("T-1", "missing_leg", 2, None), ("T-1", "silence", None, 11), ("T-2", "silent_now", None, 20),
         ("T-3", "never_heard", None, None),
     ]  # fmt: skip
-
-
-def leg_of(number: int, hours: float) -> dict:
-    """A leg of the first day, by its number, that departs so many hours into it."""
-    row = flight(0)
-    return row | {
-        "flight_id": f"{row['flight_id'][:-2]}{number:02d}",
-        "departed_at": row["departed_at"] + dt.timedelta(hours=hours),
-    }
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,9 @@ def test_flights_left_become_days():
     con = catalog(raw_flights=flown(3, 60), prognoses=[prognosis(59, rul_high=300.0)])
     dates = rows(con, "select days_left, days_left_low, days_left_high, due_on, status from due_dates")
     assert dates == [(40.0, 8.0, None, (START + dt.timedelta(days=59 + 40)).date(), "ok")]
+
+
+def test_date_beyond_horizon_has_status():
     con = catalog(raw_flights=flown(3, 60), prognoses=[prognosis(59, rul_flights=300.0, beyond_horizon=True)])
     assert rows(con, "select status from due_dates") == [("beyond_horizon",)]
 
@@ -103,8 +106,11 @@ def test_chance_follows_prognosis_points(days, between):
     assert cost == pytest.approx(50 + 2000 * chance)
 
 
-def test_no_chance_beyond_horizon():
+def test_check_beyond_horizon_has_no_chance():
     assert stop(check=101)["defer"] == ("A101", 303.0, None, None, None, "beyond_horizon")
+
+
+def test_horizon_counts_without_check():
     name, flights, _, _, _, status = stop()["defer"]
     assert (name, flights, status) == (None, 30.0, "no_check_planned")
 

@@ -2,7 +2,7 @@
 
 import pytest
 from answers import rows
-from small_catalog import catalog, flight, fouling, message
+from small_catalog import catalog, chances, flight, fouling, message
 
 LAST = 70
 LOSS = 0.2
@@ -23,14 +23,13 @@ def life(tail: str, last: int = LAST, ended_by: str | None = None) -> dict:
 def classes(columns: str, chance: float = 0.1, low: float = 60.0, **more: list[dict]) -> list[tuple]:
     """T-2 and T-3 had the message after 30 and 10 flights, T-4 in May after 50, T-5 flies on."""
     forecast = {"component": "HX", "pack": 1, "rul_flights": 99.0, "rul_low": low, "rul_high": 300.0}
-    points = dict.fromkeys((f"p_event_{n}" for n in (25, 50, 100, 200, 300)), chance)
     tables = {
         "twin_health": [*track("T-1", 60), *track("T-2", 10, 40), *track("T-3", 40, 50), *track("T-4", 15, 65),
                         *track("T-5", 20)],
         "prognosis_lives": [life("T-1"), life("T-2", 40, "message"), life("T-3", 50, "message"),
                             life("T-4", 65, "message"), life("T-5")],
         "raw_messages": [message(40)],
-        "prognoses": [flight(LAST) | forecast | points],
+        "prognoses": [flight(LAST) | forecast | chances(chance)],
     }  # fmt: skip
     con = catalog(raw_flights=[flight(n) for n in range(LAST + 1)], **tables | more)
     return rows(con, f"select {columns} from reference_classes where tail = 'T-1'")

@@ -22,16 +22,15 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize("name", views())
 def test_view_header_names_grain_sources(name):
+    """And asks a question."""
     sql = views()[name]
     header = read_header(sql)
     assert header.question.endswith("?") or "? " in header.question
     assert header.grain
     assert f"create or replace view {name} as" in sql
     body = "\n".join(line for line in sql.splitlines() if not line.startswith("--"))
-    read = set(re.findall(r"(?<!distinct )\b(?:from|join) (tables\.\w+|\w+)", body)) - set(
-        re.findall(r"(\w+) as \(\n", body)
-    )
-    assert read == set(header.sources)
+    read = set(re.findall(r"(?<!distinct )\b(?:from|join) (tables\.\w+|\w+)", body))
+    assert read - set(re.findall(r"(\w+) as \(\n", body)) == set(header.sources)
 
 
 @pytest.mark.parametrize("name", CHECKS)
@@ -41,20 +40,32 @@ def test_check_header_names_its_fault(name):
     assert any(line.startswith("-- A fault: ") for line in header)
 
 
-def test_every_column_has_meaning(sample):
+def test_every_column_has_meaning():
     named = [(view, *column) for view, columns in view_columns().items() for column in columns]
-    silent = [f"{view}.{name}" for view, name, _, meaning in named if not meaning]
-    assert silent == []
+    assert [f"{view}.{name}" for view, name, _, meaning in named if not meaning] == []
+
+
+def test_dictionary_is_up_to_date():
     written = (ROOT / "docs/data-dictionary.md").read_text(encoding="utf-8")
     assert written == dictionary(), "run `python -m docs.dictionary docs/data-dictionary.md`"
-    query = "select view_name from duckdb_views() where not internal and schema_name = 'main' and comment is null"
-    assert rows(sample, query) == []
-    silent = "select table_name, column_name from duckdb_columns() where not internal and coalesce(comment, '') = ''"
+
+
+@pytest.mark.parametrize(
+    "silent",
+    [
+        "select view_name from duckdb_views() where not internal and schema_name = 'main' and comment is null",
+        "select table_name, column_name from duckdb_columns() where not internal and coalesce(comment, '') = ''",
+    ],
+    ids=["views", "columns"],
+)
+def test_catalog_comments_everything(sample, silent):
     assert rows(sample, silent) == []
+
+
+def test_features_are_stored_as_declared(sample):
     columns = {name for name, *_ in rows(sample, "describe tables.features")}
     assert columns == set(TABLES["features"].schema.columns())
-    never = [c for c in columns if rows(sample, f"select count({c}) from features") == [(0,)]]
-    assert never == []
+    assert [c for c in columns if rows(sample, f"select count({c}) from features") == [(0,)]] == []
 
 
 # --- the sample fleet ----------------------------------------------------------------------------------------------
@@ -98,26 +109,44 @@ def test_as_of_knows_nothing_later(sample):
     sample.execute("set TimeZone = 'Pacific/Kiritimati'")
 
 
+def day_of(flight_id: str) -> str:
+    """The day in a flight's name, as SQL."""
+    return f"strptime(regexp_extract({flight_id}, '_(\\d{{8}})_', 1), '%Y%m%d')::date"
+
+
 @pytest.mark.parametrize("view", ["flights", "legs", "features", "health_parameters", "prognoses"])
 def test_departure_day_follows_flight_name(sample, view):
-    named = "strptime(regexp_extract(flight_id, '_(\\d{8})_', 1), '%Y%m%d')::date"
+    """Wherever it is read: in this time zone the other day shifts."""
+    named = day_of("flight_id")
     assert rows(sample, f"select count(*) > 0 from {view}") == [(True,)]
     assert rows(sample, f"select count(*) from {view} where departed_on is distinct from {named}") == [(0,)]
-    elsewhere = rows(sample, f"select count(*) from {view} where departed_at::date is distinct from {named}")
-    assert elsewhere != [(0,)], "in this time zone the other day shifts"
+    assert rows(sample, f"select count(*) from {view} where departed_at::date is distinct from {named}") != [(0,)]
 
 
-def test_yield_counts_every_leg_once(sample):
-    named = "strptime(regexp_extract(raised_flight_id, '_(\\d{8})_', 1), '%Y%m%d')::date"
+def test_alert_day_follows_flight_name(sample):
+    named = day_of("raised_flight_id")
     assert rows(sample, f"select count(*) from alerts where raised_on is distinct from {named}") == [(0,)]
-    counted = rows(sample, "select count(*)::int, count_if(admitted)::int from legs")
-    assert rows(sample, "select sum(n_legs)::int, sum(n_admitted)::int from filter_yield") == counted
-    worn = rows(sample, "select count(*)::int from legs where reason = 'HX_WORN'")
-    assert rows(sample, "select sum(n_fouled)::int from filter_yield") == worn
-    assert worn[0][0] > 0
-    assert rows(sample, "select sum(n_flights)::int from exchanger_lives") == rows(
-        sample, "select count(*)::int from health_parameters where parameter = 'hx_fouling' and value is not null"
-    )
+
+
+@pytest.mark.parametrize(
+    ("counted", "of"),
+    [
+        (
+            "sum(n_legs)::int, sum(n_admitted)::int from filter_yield",
+            "count(*)::int, count_if(admitted)::int from legs",
+        ),
+        ("sum(n_fouled)::int from filter_yield", "count(*)::int from legs where reason = 'HX_WORN'"),
+        (
+            "sum(n_flights)::int from exchanger_lives",
+            "count(*)::int from health_parameters where parameter = 'hx_fouling' and value is not null",
+        ),
+    ],
+    ids=["legs", "worn legs", "flights of lives"],
+)
+def test_every_row_is_counted_once(sample, counted, of):
+    answer = rows(sample, f"select {of}")
+    assert rows(sample, f"select {counted}") == answer
+    assert answer[0][0] > 0
 
 
 # --- planted faults ------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from collections import defaultdict
 import duckdb
 import pytest
 from answers import rows
-from small_catalog import OWN, START, alert, catalog, flight, fouling, message, replaced
+from small_catalog import OWN, START, alert, catalog, chances, flight, fouling, message, replaced
 
 from pipelines.storage.catalog import CATALOG
 
@@ -17,8 +17,8 @@ DAYS = 100
 
 
 def prognosis(n: int, chance: float) -> dict:
-    points = dict.fromkeys((f"p_event_{k}" for k in (25, 50, 100, 200, 300)), chance)
-    return flight(n) | points | {"pack": 1, "component": "HX", "rul_flights": 90.0, "rul_low": 9.0, "rul_high": 300.0}
+    own = {"pack": 1, "component": "HX", "rul_flights": 90.0, "rul_low": 9.0, "rul_high": 300.0}
+    return flight(n) | chances(chance) | own
 
 
 def fleet(**more: list[dict]) -> duckdb.DuckDBPyConnection:
@@ -52,10 +52,13 @@ def test_leads_run_from_first_alert():
     assert leads == [(0, "REPLACED")]
 
 
-def test_savings_follow_outcome_of_work():
+def test_message_before_alert_has_negative_lead():
     con = fleet(raw_messages=[message(2)])
     query = "select flights_to_message, days_to_message from removal_leads where component = 'HX' and spell = 0"
     assert rows(con, query) == [(None, pytest.approx(-3 + 1 / 24))]
+
+
+def test_savings_follow_outcome_of_work():
     columns = "spell, outcome, saving_at_most, saving_expected, needless_cost, currency, cost_source"
     chance = (60 - 10.5) / 100  # flights 45 to 54: the last of them is the seventh before the end of day 60
     assert rows(fleet(), f"select {columns} from realised_savings order by spell") == [
@@ -63,6 +66,9 @@ def test_savings_follow_outcome_of_work():
         (1, "no_fault_found", 0.0, 0.0, 1000.0, "EUR", "costs.toml"),
         (2, "found", 4000.0, pytest.approx(4000 * chance), 0.0, "EUR", "costs.toml"),
     ]
+
+
+def test_unpriced_work_has_no_saving():
     con = fleet(raw_costs=[])
     saved = rows(con, "select outcome, saving_at_most, saving_expected from realised_savings where spell = 2")
     assert saved == [("found", None, None)]
@@ -76,16 +82,29 @@ def test_operator_costs_are_priced_events():
     total = 2 * 4000.0 + 2 * 1000.0 + 100.0
     assert counts == [DAYS, 2, 2, 1, 1, total, 10 * total, 4000.0]
     assert expected == pytest.approx(4000.0 * 0.99, rel=0.02)
+
+
+def test_operator_without_events_costs_nothing():
     other = flight(3, tail="Z-1", operator="ZZZ")
     flown = {"raw_flights": [flight(n) for n in range(DAYS)] + [other], "twin_health": [fouling(3, 0.1) | other]}
     con = fleet(**flown, raw_costs=[*PRICES, *(p | {"component": "OIL"} for p in PRICES)])
     query = "select component, n_flights, n_messages, total_cost from operator_costs where operator = 'ZZZ'"
     assert rows(con, query) == [("HX", 1, 0, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("query", "sources"),
+    [
+        ("select distinct cost_source from operator_costs", ["default"]),
+        ("select cost_source from realised_savings order by spell", ["costs.toml", "costs.toml", "default"]),
+    ],
+)
+def test_default_price_is_marked(query, sources):
     con = fleet(raw_costs=[p | ({"source": "default"} if p["item"] == "wash" else {}) for p in PRICES])
-    assert rows(con, "select distinct cost_source from operator_costs") == [("default",)]
-    assert rows(con, "select spell, cost_source from realised_savings order by spell") == [
-        (0, "costs.toml"), (1, "costs.toml"), (2, "default"),
-    ]  # fmt: skip
+    assert rows(con, query) == [(source,) for source in sources]
+
+
+def test_season_has_chance_with_margin():
     margins = [flight(n) | {"pack": 1, "hx_margin_k": float(n)} for n in range(31)]
     query = "select p_event_50, margin_k, margin_worst_tenth_k from seasonality where calendar_month = 3"
     assert rows(fleet(features=margins), query) == [(pytest.approx(0.15), 15.0, 3.0)]

@@ -15,9 +15,13 @@ from hdt_core.records.unit_index import UTC, date_entries, number_units
 from pipelines.storage.view_headers import views
 
 
+def flights(n: int) -> list[dict]:
+    return [flight(k) for k in range(n)]
+
+
 def test_lead_counts_from_units_first_alert():
     con = catalog(
-        raw_flights=[flight(n) for n in range(60)],
+        raw_flights=flights(60),
         raw_maintenance=[replaced(20)],
         raw_messages=[message(19), message(50), message(51), message(30, "21-51-CCFLOW")],
         features_alerts=[alert("old", 5, closed=21), alert("new", 40), alert("door", 41, component="RAM_DOOR")],
@@ -25,8 +29,11 @@ def test_lead_counts_from_units_first_alert():
     question = "select component, alert_id, lead_flights, n_messages from alert_lead_times order by message_time"
     leads = rows(con, question)
     assert leads == [("HX", "old", 14, 1), ("CC", None, None, 1), ("HX", "new", 10, 2)]
+
+
+def test_alert_of_former_unit_leads_nothing():
     con = catalog(
-        raw_flights=[flight(n) for n in range(60)],
+        raw_flights=flights(60),
         raw_maintenance=[replaced(20)],
         raw_messages=[message(50)],
         features_alerts=[alert("old", 5, closed=21)],
@@ -37,8 +44,8 @@ def test_lead_counts_from_units_first_alert():
 def judged_work(n: int, *, is_shown: bool, **more: object) -> dict:
     """A replacement without a finding, and the record's judgement of it."""
     work = replaced(n, None)
-    judged = {"verdict": "logged", "in_force": True, "position": 1, "is_shown": is_shown}
-    return work | judged | {"flown_from": work["counts_from"], "known_from": work["counts_from"]} | more
+    verdict = {"verdict": "logged", "in_force": True, "position": 1, "is_shown": is_shown}
+    return work | verdict | {"flown_from": work["counts_from"], "known_from": work["counts_from"]} | more
 
 
 def ended(name: str, n: int, closed: int, reason: str = "renewed", **more: object) -> dict:
@@ -55,7 +62,7 @@ def judged_fleet() -> duckdb.DuckDBPyConnection:
     """One alert of each outcome: `late` closed by itself two days before its message."""
     judgements = [judged_work(30, is_shown=True), judged_work(40, is_shown=False)]
     return catalog(
-        raw_flights=[flight(n) for n in range(120)],
+        raw_flights=flights(120),
         raw_maintenance=[replaced(10), replaced(30, None), replaced(40, None), inspected(84)],
         features_work=judgements,
         raw_messages=[message(56), message(72)],
@@ -140,13 +147,18 @@ def test_views_number_units_as_core(hour, unit):
 def test_work_is_compared_with_before():
     con = catalog(twin_health=[fouling(n, 0.4 if n < 50 else 0.01) for n in range(80)], raw_maintenance=[replaced(52)])
     assert rows(con, "select before_work, after_work, round(moved_by, 9) from before_and_after") == [(0.4, 0.01, -0.39)]
+
+
+def test_empty_catalog_answers():
     con = catalog()
     counts = {name: rows(con, f"select count(*)::int from {name}")[0][0] for name in views()}
     assert counts == dict.fromkeys(views(), 0) | {"start_here": 6}
     assert all(rows(con, sql) == [] for sql in CHECKS.values())
-    health = [fouling(n, 0.1) | {"status": s} for n, s in enumerate(("ok", "few_samples", "sensor_corrected",
-                                                                    *UNOBSERVED))]  # fmt: skip
-    con = catalog(twin_health=health)
+
+
+def test_some_statuses_are_not_observed():
+    statuses = ("ok", "few_samples", "sensor_corrected", *UNOBSERVED)
+    con = catalog(twin_health=[fouling(n, 0.1) | {"status": s} for n, s in enumerate(statuses)])
     assert {s for (s,) in rows(con, "select status from health_parameters where not is_observed")} == set(UNOBSERVED)
 
 
@@ -206,23 +218,42 @@ def inspected(n: int, finding: str | None = "NO_FAULT_FOUND", **more: object) ->
     return replaced(n, finding) | {"action": "INSPECTED", "reference": f"WO{n}"} | more
 
 
-def credited(*work: dict, **alerts: dict) -> dict[str, tuple]:
-    con = catalog(raw_maintenance=list(work), features_alerts=[a | {"alert_id": n} for n, a in alerts.items()])
-    return {n: tuple(r) for n, *r in rows(con, "select alert_id, outcome, work_orders from alert_outcomes")}
+CLEAN = {"closed_reason": "found_clean"}
 
 
-def test_work_is_credited_to_last_alert():
-    """Not to one that had closed twelve days before."""
-    clean = alert("", 38, 43) | {"closed_reason": "found_clean"}
-    credits = credited(inspected(42), old=alert("", 10, 30), open=clean)
-    assert credits == {"old": ("recovered", None), "open": ("no_fault_found", "WO42")}
-    credits = credited(inspected(42), older=alert("", 10, 32), last=alert("", 33, 38), long=alert("", 5, 20))
-    assert credits == {"older": ("recovered", None), "last": ("no_fault_found", "WO42"), "long": ("recovered", None)}
-    assert credited(replaced(30), inspected(40), one=ended("", 10, 31)) == {"one": ("found", "WO30")}
-    credits = credited(inspected(42, "FOULED", closes_alert_id="mine"), mine=alert("", 38), beside=alert("", 30))
-    assert credits == {"mine": ("found", "WO42"), "beside": ("open", None)}
-    clean = alert("", 10, 31) | {"closed_reason": "found_clean"}
-    assert credited(inspected(30), replaced(33, "CLOGGED"), one=clean)["one"] == ("found", "WO30, WO33")
+@pytest.mark.parametrize(
+    ("work", "alerts", "credits"),
+    [
+        (
+            [inspected(42)],
+            {"old": alert("", 10, 30), "open": alert("", 38, 43) | CLEAN},
+            {"old": ("recovered", None), "open": ("no_fault_found", "WO42")},
+        ),
+        (
+            [inspected(42)],
+            {"older": alert("", 10, 32), "last": alert("", 33, 38), "long": alert("", 5, 20)},
+            {"older": ("recovered", None), "last": ("no_fault_found", "WO42"), "long": ("recovered", None)},
+        ),
+        ([replaced(30), inspected(40)], {"one": ended("", 10, 31)}, {"one": ("found", "WO30")}),
+        (
+            [inspected(42, "FOULED", closes_alert_id="mine")],
+            {"mine": alert("", 38), "beside": alert("", 30)},
+            {"mine": ("found", "WO42"), "beside": ("open", None)},
+        ),
+        (
+            [inspected(30), replaced(33, "CLOGGED")],
+            {"one": alert("", 10, 31) | CLEAN},
+            {"one": ("found", "WO30, WO33")},
+        ),
+    ],
+    ids=["open", "last closed", "closed by it", "named", "both"],
+)
+def test_work_is_credited_to_alert(work, alerts, credits):
+    """That is open or closed last of its unit; not one that had closed twelve days before."""
+    con = catalog(raw_maintenance=work, features_alerts=[a | {"alert_id": n} for n, a in alerts.items()])
+    assert {n: of for n, *of in rows(con, "select alert_id, outcome, work_orders from alert_outcomes")} == {
+        n: list(of) for n, of in credits.items()
+    }
 
 
 def test_hit_rate_follows_findings():
@@ -239,13 +270,12 @@ def test_hit_rate_follows_findings():
 
 
 def test_renewal_ends_contradiction_of_prognosis():
-    prognoses = [flight(n) | {"pack": 1, "component": "HX", "p_event_50": 0.9} for n in range(60)]
-    inspected_alert = alert("a", 10, 20) | {"closed_reason": "found_clean"}
+    """By an inspection that found nothing."""
     con = catalog(
-        raw_flights=[flight(n) for n in range(60)],
+        raw_flights=flights(60),
         twin_health=[fouling(n, 0.2) for n in range(60)],
-        prognoses=prognoses,
-        features_alerts=[inspected_alert],
+        prognoses=[f | {"pack": 1, "component": "HX", "p_event_50": 0.9} for f in flights(60)],
+        features_alerts=[alert("a", 10, 20) | CLEAN],
         raw_maintenance=[replaced(39)],
     )
     by_status = rows(con, "select status, count(*)::int from prognoses group by 1 order by 1")
@@ -298,11 +328,12 @@ def unobserved(n: int, *, tail: str = "T-1") -> dict:
     return fouling(n, 0.15, tail=tail) | {"sd": 0.3, "status": "predicted"}
 
 
-def test_missing_information_is_no_plan():
-    """T-1 has shown nothing, T-2 little: what is believed of any unit ranks neither, nor is it dated or priced."""
+@pytest.fixture
+def unknown_unit():
+    """T-1 has shown nothing, T-2 little."""
     legs = [flight(n, tail=t) | {"pack": 1, "admitted": False, "reason": "NO_CRUISE", "n_samples": 9, "n_nominal": 0}
             for n in range(4) for t in ("T-1", "T-2")]  # fmt: skip
-    con = catalog(
+    return catalog(
         raw_flights=[flight(n, tail=t) for n in range(4) for t in ("T-1", "T-2")],
         legs_verdicts=legs,
         twin_health=[
@@ -312,60 +343,90 @@ def test_missing_information_is_no_plan():
         features=[flight(n) | {"pack": 1, "mach_lost_share": 1.0, "tat_k_lost_share": 0.1} for n in range(4)],
         prognoses=[flight(n, tail=t) | PROGNOSIS for n in range(4) for t in ("T-1", "T-2")],
     )
+
+
+def test_missing_information_is_no_plan(unknown_unit):
+    """What is believed of any unit ranks none."""
     columns = "tail, urgency, hx_fouling, rul_flights, p_event_50, missing_reason, missing_columns"
-    assert rows(con, f"select {columns} from fleet_ranking order by place") == [
+    assert rows(unknown_unit, f"select {columns} from fleet_ranking order by place") == [
         ("T-2", "plan", 0.15, 126.0, 0.22, None, None),
         ("T-1", "unknown", None, None, None, "NO_CRUISE", "mach"),
     ]
-    assert rows(con, "select tail, status, count(*)::int from prognoses group by all order by all") == [
+
+
+def test_prognosis_by_prior_has_status(unknown_unit):
+    assert rows(unknown_unit, "select tail, status, count(*)::int from prognoses group by all order by all") == [
         ("T-1", "prior_only", 4), ("T-2", "ok", 3), ("T-2", "prior_only", 1)
     ]  # fmt: skip
-    assert rows(con, "select distinct rul_flights from prognoses") == [(126.0,)]  # an estimate, with its status
-    for view in ("due_dates", "next_stop", "(from unit_rows where chance is not null)"):
-        assert {tail for (tail,) in rows(con, f"select distinct tail from {view}")} <= {"T-2"}
-    assert rows(con, "select distinct is_observed from health_parameters where tail = 'T-1'") == [(False,)]
+    assert rows(unknown_unit, "select distinct rul_flights from prognoses") == [(126.0,)]  # an estimate all the same
 
 
-def test_new_unit_is_unknown():
-    health = [fouling(n, 0.2) for n in range(3)] + [unobserved(n) for n in range(3, 6)]
+@pytest.mark.parametrize("view", ["due_dates", "next_stop", "(from unit_rows where chance is not null)"])
+def test_unknown_unit_has_no_date(unknown_unit, view):
+    assert {tail for (tail,) in rows(unknown_unit, f"select distinct tail from {view}")} <= {"T-2"}
+
+
+def test_health_by_prior_is_not_observed(unknown_unit):
+    assert rows(unknown_unit, "select distinct is_observed from health_parameters where tail = 'T-1'") == [(False,)]
+
+
+@pytest.mark.parametrize(("last", "ranked"), [("predicted", ("unknown", None)), ("ok", ("plan", 0.15))])
+def test_new_unit_is_unknown(last, ranked):
+    """Until it was observed: what was seen of the former one is not its own."""
+    health = [*(fouling(n, 0.2) for n in range(3)), unobserved(3), unobserved(4), unobserved(5) | {"status": last}]
     con = catalog(twin_health=health, raw_maintenance=[replaced(2)], prognoses=[flight(5) | PROGNOSIS])
-    assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [("unknown", None)]
-    con.execute("update tables.twin_health set status = 'ok' where departed_at >= '2024-03-06'")
-    assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [("plan", 0.15)]
+    assert rows(con, "select urgency, hx_fouling from fleet_ranking") == [ranked]
+
+
+def test_unknown_unit_ranks_last():
     health = [fouling(1, 0.0, tail="T-9"), unobserved(1, tail="T-1")]
     con = catalog(twin_health=health, prognoses=[flight(1, tail="T-9") | PROGNOSIS | {"p_event_50": 0.01}])
     ranking = rows(con, "select tail, urgency from fleet_ranking order by place")
     assert ranking == [("T-9", "none"), ("T-1", "unknown")]
 
 
+TAILS = ("T-1", "T-2", "T-3")
+WORKED_ON = {
+    "raw_flights": [flight(n, tail=t) for n in range(6) for t in TAILS],
+    "twin_health": [fouling(n, 0.3, tail=t) for n in range(6) for t in TAILS],
+    "prognoses": [flight(5, tail=t) | PROGNOSIS | {"p_event_50": 0.7} for t in TAILS],
+    "raw_maintenance": [
+        replaced(5) | {"action": "CLEANED", "tail": "T-1"},
+        replaced(5) | {"tail": "T-2"},
+        replaced(3) | {"tail": "T-3", "component": "CC"},
+    ],
+}
+"""T-1 was washed and T-2's exchanger replaced after the last flight; of T-3 it was another component."""
+RANKING = "select tail, urgency, hx_fouling, rul_flights, work_action from fleet_ranking order by tail"
+UNTOUCHED = ("T-3", "act", 0.3, 126.0, None)
+
+
 def test_work_after_last_flight_counts():
-    tails = ("T-1", "T-2", "T-3")
-    washed = replaced(5) | {"action": "CLEANED", "tail": "T-1"}
-    tables = {
-        "raw_flights": [flight(n, tail=t) for n in range(6) for t in tails],
-        "twin_health": [fouling(n, 0.3, tail=t) for n in range(6) for t in tails],
-        "prognoses": [flight(5, tail=t) | PROGNOSIS | {"p_event_50": 0.7} for t in tails],
-        "raw_maintenance": [washed, replaced(5) | {"tail": "T-2"}, replaced(3) | {"tail": "T-3", "component": "CC"}],
-    }
-    con = catalog(**tables)
-    ranking = "select tail, urgency, hx_fouling, rul_flights, work_action from fleet_ranking order by tail"
-    act = ("T-3", "act", 0.3, 126.0, None)
-    assert rows(con, ranking) == [("T-1", "none", None, None, "CLEANED"), ("T-2", "none", None, None, "REPLACED"), act]
-    for view in ("due_dates", "next_stop"):
-        assert {tail for (tail,) in rows(con, f"select distinct tail from {view}")} <= {"T-3"}
+    washed = ("T-1", "none", None, None, "CLEANED")
+    renewed = ("T-2", "none", None, None, "REPLACED")
+    assert rows(catalog(**WORKED_ON), RANKING) == [washed, renewed, UNTOUCHED]
+
+
+@pytest.mark.parametrize("view", ["due_dates", "next_stop"])
+def test_work_after_last_flight_ends_dates(view):
+    con = catalog(**WORKED_ON)
+    assert {tail for (tail,) in rows(con, f"select distinct tail from {view}")} <= {"T-3"}
+
+
+def test_flight_after_work_counts_again():
     later = {"raw_flights": flight(9), "twin_health": fouling(9, 0.02), "prognoses": flight(9) | PROGNOSIS}
-    con = catalog(**tables | {name: [*tables[name], row] for name, row in later.items()})
-    assert rows(con, ranking)[::2] == [("T-1", "plan", 0.02, 126.0, None), act]
+    con = catalog(**WORKED_ON | {name: [*WORKED_ON[name], row] for name, row in later.items()})
+    assert rows(con, RANKING)[::2] == [("T-1", "plan", 0.02, 126.0, None), UNTOUCHED]
 
 
 def flown_with(*messages: int, n: int = 80, **tables: list[dict]) -> duckdb.DuckDBPyConnection:
     """Eighty flights of a pack, and messages on some of them."""
-    flown = {"twin_health": [fouling(k, 0.01) for k in range(n)], "raw_flights": [flight(k) for k in range(n)]}
+    flown = {"twin_health": [fouling(k, 0.01) for k in range(n)], "raw_flights": flights(n)}
     return catalog(**flown, raw_messages=[message(k) for k in messages], **tables)
 
 
 @pytest.mark.parametrize(
-    ("messages", "urgency", "shown"),
+    ("messages", "urgency", "is_listed"),
     [
         ((78, 79), "act", True),
         ((79,), "none", True),
@@ -375,12 +436,12 @@ def flown_with(*messages: int, n: int = 80, **tables: list[dict]) -> duckdb.Duck
     ],
     ids=["on two flights", "on one", "lapsed", "on two long ago", "none"],
 )
-def test_message_makes_pack_urgent(messages, urgency, shown):
+def test_message_makes_pack_urgent(messages, urgency, is_listed):
     con = flown_with(*messages)
 
     ranked = rows(con, "select urgency, message_at is not null from fleet_ranking")
 
-    assert ranked == [(urgency, shown)]
+    assert ranked == [(urgency, is_listed)]
 
 
 @pytest.mark.parametrize(
@@ -439,25 +500,25 @@ def test_pack_is_off_since_first_flight():
     assert rows(con, "select off_since from fleet_ranking") == [(START + dt.timedelta(days=7),)]
 
 
+def urgency_of(statuses: list[str]) -> str:
+    """Urgency of a unit hardly surer than its prior, by the status of its flights."""
+    con = catalog(
+        twin_health=[fouling(k, 0.04) | {"sd": 0.036, "status": s} for k, s in enumerate(statuses)],
+        raw_flights=flights(len(statuses)),
+        components=[c | {"prior_sd": 0.066} for c in component_rows()],
+    )
+    ((urgency,),) = rows(con, "select urgency from fleet_ranking")
+    return urgency
+
+
 @pytest.mark.parametrize(("observed", "urgency"), [(1, "unknown"), (5, "none")])
 def test_barely_observed_unit_is_unknown(observed, urgency):
-    flown = [fouling(k, 0.04) | {"sd": 0.036, "status": "ok" if k < observed else "predicted"} for k in range(20)]
-    components = [c | {"prior_sd": 0.066} for c in component_rows()]
-
-    con = catalog(twin_health=flown, raw_flights=[flight(k) for k in range(20)], components=components)
-
-    assert rows(con, "select urgency from fleet_ranking") == [(urgency,)]
+    assert urgency_of(["ok"] * observed + ["predicted"] * (20 - observed)) == urgency
 
 
 @pytest.mark.parametrize(("every", "urgency"), [(3, "unknown"), (2, "none")])
 def test_sparse_rows_leave_unit_unknown(every, urgency):
-    status = {True: "few_samples", False: "predicted"}
-    flown = [fouling(k, 0.04) | {"sd": 0.036, "status": status[k % every == 0]} for k in range(30)]
-    components = [c | {"prior_sd": 0.066} for c in component_rows()]
-
-    con = catalog(twin_health=flown, raw_flights=[flight(k) for k in range(30)], components=components)
-
-    assert rows(con, "select urgency from fleet_ranking") == [(urgency,)]
+    assert urgency_of(["predicted" if k % every else "few_samples" for k in range(30)]) == urgency
 
 
 def test_unconfirmed_log_line_is_noted():

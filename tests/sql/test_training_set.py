@@ -58,11 +58,17 @@ def test_labels_count_lives_down(training_set):
     own = labelled.sort(*KEY[:2], "pack", "departed_at", "flight_id")
     steps = own.select(pl.col("label_hx_flights").diff().over("split_unit")).to_series().drop_nulls()
     assert set(steps.to_list()) == {-1}
-    events = own.filter(label_hx_flights=0)
+    assert own.filter("label_hx_censored")["label_hx_flights"].min() == 1
+
+
+def test_lives_of_sample_end_by_message(training_set):
+    events = training_set.filter(label_hx_flights=0)
     assert events.height >= 2
     assert events["label_hx_ended_by"].unique().to_list() == ["message"]
     assert not events["label_hx_censored"].any()
-    assert own.filter("label_hx_censored")["label_hx_flights"].min() == 1
+
+
+def test_labels_are_of_unit_that_flew():
     con = catalog(features=[flight(n) | {"pack": 1} for n in range(60)], prognosis_lives=ENDS)
     labels = con.sql("select * from training_set order by departed_at").pl()
     assert labels["label_hx_flights"].to_list() == [*range(20, -1, -1), None, *range(38, 0, -1)]
@@ -85,18 +91,19 @@ def prognosis(n: int, low: float, middle: float, high: float) -> dict:
 
 def test_interval_holds_end_within_it():
     """Flight 5 is 15 flights before the message, flight 25 is 35 before the last flight on record."""
-    rows = [prognosis(n, 1, 5, 10) for n in range(60)]
-    rows[5] = prognosis(5, 5, 12, 15)
-    rows[10] = prognosis(10, 0, 3, 9)
-    rows[25] = prognosis(25, 40, 60, 300)
-    rows[26] = prognosis(26, 10, 20, 30)
-    con = catalog(prognoses=rows, prognosis_lives=ENDS)
+    prognoses = {n: prognosis(n, 1, 5, 10) for n in range(60)} | {
+        5: prognosis(5, 5, 12, 15),
+        10: prognosis(10, 0, 3, 9),
+        25: prognosis(25, 40, 60, 300),
+        26: prognosis(26, 10, 20, 30),
+    }
+    con = catalog(prognoses=list(prognoses.values()), prognosis_lives=ENDS)
     names = "interval_held, outlived_low, outlived_high, event_50, outcome"
-    days = {n: flight(n)["flight_id"] for n in (5, 10, 25, 26)}
-    query = f"select flight_id, {names} from prognosis_outcomes"
-    outcomes = {r[0]: r[1:] for r in con.sql(query).fetchall()}
-    assert outcomes[days[5]] == (True, True, False, True, "event")
-    assert outcomes[days[10]] == (False, True, True, True, "event")
-    assert outcomes[days[25]] == (None, None, None, None, "open")
-    assert outcomes[days[26]] == (None, True, True, None, "open")
-    assert flight(20)["flight_id"] not in outcomes
+    outcomes = {r[0]: r[1:] for r in con.sql(f"select flight_id, {names} from prognosis_outcomes").fetchall()}
+    assert {n: outcomes.get(flight(n)["flight_id"]) for n in (5, 10, 20, 25, 26)} == {
+        5: (True, True, False, True, "event"),
+        10: (False, True, True, True, "event"),
+        20: None,
+        25: (None, None, None, None, "open"),
+        26: (None, True, True, None, "open"),
+    }

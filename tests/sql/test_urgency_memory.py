@@ -3,29 +3,20 @@
 import datetime as dt
 
 import pytest
-from small_catalog import catalog, flight, fouling, replaced
+from small_catalog import catalog, chances, flight, fouling, replaced
 
 
 def forecast(n: int, chance: float, version: str) -> dict:
-    points = ("p_event_25", "p_event_50", "p_event_100", "p_event_200", "p_event_300")
-    return flight(n) | {"pack": 1, "component": "HX", "model_version": version} | dict.fromkeys(points, chance)
+    return flight(n) | {"pack": 1, "component": "HX", "model_version": version} | chances(chance)
 
 
-def urgency(chances: list[float], maintenance: list[dict] | None = None, model: list[str] | None = None) -> list[tuple]:
+def urgency(course: list[float], maintenance: list[dict] | None = None, model: list[str] | None = None) -> list[tuple]:
     """Urgency, its begin and its cause after flights with these chances of a message within 30 days."""
-    points = [
-        dict.fromkeys(("p_event_25", "p_event_50", "p_event_100", "p_event_200", "p_event_300"), chance)
-        for chance in chances
-    ]
-    versions = model or ["m"] * len(chances)
-    own = {"pack": 1, "component": "HX"}
-    prognoses = [
-        flight(n) | own | p | {"model_version": v} for n, (p, v) in enumerate(zip(points, versions, strict=True))
-    ]
+    versions = model or ["m"] * len(course)
     con = catalog(
-        raw_flights=[flight(n) for n in range(len(chances))],
-        twin_health=[fouling(n, 0.2) for n in range(len(chances))],
-        prognoses=prognoses,
+        raw_flights=[flight(n) for n in range(len(course))],
+        twin_health=[fouling(n, 0.2) for n in range(len(course))],
+        prognoses=[forecast(n, *of) for n, of in enumerate(zip(course, versions, strict=True))],
         raw_maintenance=maintenance or [],
     )
     return con.execute("select urgency, urgent_since, urgent_by from unit_urgencies").fetchall()

@@ -67,6 +67,11 @@ def replaced(n: int, finding: str | None = "FOULED", component: str = "HX") -> d
     return OWN | done | {"finding": finding, "reference": f"WO{n}", "counts_from": ends}
 
 
+def chances(chance: float) -> dict:
+    """The same chance of an event within any number of flights."""
+    return dict.fromkeys((f"p_event_{n}" for n in (25, 50, 100, 200, 300)), chance)
+
+
 def message(n: int, code: str = "21-52-HXTEMP") -> dict:
     at = START + dt.timedelta(days=n, hours=1)
     return OWN | {"message_time": at, "flight_id": flight(n)["flight_id"], "code": code}
