@@ -54,12 +54,23 @@ def children(sample_home: Path) -> Iterator[Children]:
         process.stdin.close()
 
 
+@pytest.fixture
+def home(children: Children, tmp_path: Path) -> Path:
+    """A new home of a test's own."""
+    return children.home(tmp_path / "home")
+
+
 @dataclass(frozen=True)
 class Tiny:
     """One aircraft of four flights: history, a flight delivered twice, a row that is wrong; and how a night ends."""
 
     landing: Path
     end: dict[str, Any]
+
+    def check_end(self, home: Path) -> None:
+        """A home is sound, and as an undisturbed night leaves it."""
+        assert faults(home, self.landing) == []
+        assert state(home) == self.end
 
 
 @pytest.fixture(scope="session")

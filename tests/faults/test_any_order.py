@@ -133,16 +133,15 @@ def test_any_order_ends_as_modelled(children, intact, tmp_path):
     AnyOrder.children = children
     AnyOrder.intact = staticmethod(intact)
     AnyOrder.root = tmp_path
-    known = {"derandomize": True, "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
-    how = settings(max_examples=EXAMPLES, stateful_step_count=9, **known)
+    fixed = {"derandomize": True, "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
+    how = settings(max_examples=EXAMPLES, stateful_step_count=9, **fixed)
     run_state_machine_as_test(AnyOrder, settings=how)
 
 
 @pytest.mark.parametrize("goes", ["taken away", "replaced", "broken"])
-def test_killed_night_keeps_its_account(children, intact, tmp_path, goes):
-    """Killed when the rows were stored and their account was not."""
+def test_killed_night_keeps_its_account(children, intact, home, tmp_path, goes):
+    """Killed when the rows were stored and their account was not; then their file goes."""
     landing = tmp_path / "landing"
-    home = children.home(tmp_path / "home")
     drop_fleet(landing, [ZONE])
     ZONE.drop_history(landing)
     assert children.night(landing, home, steps=INTAKE, fault="before_mark:7")[0] == signal.SIGKILL

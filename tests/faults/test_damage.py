@@ -126,7 +126,7 @@ def query_views(home: Path) -> dict[str, int] | str:
         return str(error)
 
 
-def noticed(whole: Whole, home: Path, trial: int) -> tuple[tuple[str, str, str], list[str]]:
+def check_damage(whole: Whole, home: Path, trial: int) -> tuple[tuple[str, str, str], list[str]]:
     """What was done to a copy of the home, and the checks of `hdt doctor` that fail; no answer is wrong."""
     shutil.copytree(whole.home, home)
     done = damage(random.Random(trial), home, KINDS[trial % len(KINDS)])
@@ -140,7 +140,7 @@ def noticed(whole: Whole, home: Path, trial: int) -> tuple[tuple[str, str, str],
 def test_damage_gives_no_wrong_answer(whole, tmp_path):
     tally = Counter[tuple[str, ...]]()
     for trial in range(DAMAGES):
-        done, wrong = noticed(whole, tmp_path / "home", trial)
+        done, wrong = check_damage(whole, tmp_path / "home", trial)
         tally[(*done[:2], "told" if wrong else "of no effect")] += 1
         shutil.rmtree(tmp_path / "home")
     print(dict(sorted(tally.items())))
@@ -150,7 +150,7 @@ def test_damage_gives_no_wrong_answer(whole, tmp_path):
 def test_next_night_repairs_damage(whole, children, tmp_path, first):
     for trial in range(first, first + len(KINDS)):
         home = tmp_path / f"home{trial}"
-        done, wrong = noticed(whole, home, trial)
+        done, wrong = check_damage(whole, home, trial)
         ended, message = children.night(whole.landing, home)
         assert ended == 0, (done, message)
         assert "Traceback" not in message
@@ -164,7 +164,7 @@ def test_next_night_repairs_damage(whole, children, tmp_path, first):
         shutil.rmtree(home)
 
 
-def rotten(whole: Whole, home: Path, *tables: str) -> list[Path]:
+def rot_copy(whole: Whole, home: Path, *tables: str) -> list[Path]:
     """A copy of the home with a bit flipped in the middle of a file of each table; these files."""
     shutil.copytree(whole.home, home)
     shards = {table: Store(home).tables.shards(table) for table in tables}
@@ -176,7 +176,7 @@ def rotten(whole: Whole, home: Path, *tables: str) -> list[Path]:
 
 def test_night_repairs_file_doctor_names(whole, children, tmp_path):
     home = tmp_path / "home"
-    rotten(whole, home, "features")
+    rot_copy(whole, home, "features")
     (message,) = [check.message for check in examine(None, home) if not check.well]
     assert message.startswith("features/QQX/Z8/")
     assert message.endswith("`hdt nightly` writes it again")
@@ -189,7 +189,7 @@ def test_night_repairs_file_doctor_names(whole, children, tmp_path):
 
 def test_idle_nights_notice_rot_in_turn(whole, children, tmp_path):
     home = tmp_path / "home"
-    (file,) = rotten(whole, home, "residuals")  # read by no stored view: those are checked when a home has moved
+    (file,) = rot_copy(whole, home, "residuals")  # read by no stored view: those are checked when a home has moved
     name = str(file.relative_to(home / "tables"))
     ledger = Ledger(home)
     while not seal.files_to_read([name], ledger.nights().height + 1):
@@ -211,7 +211,7 @@ def test_working_night_mends_rotten_tables(whole, children, tmp_path):
     """Of a raw table, of one whose rows others are made of, and of one that is made last."""
     clean = Path(shutil.copytree(whole.home, tmp_path / "clean"))
     home = tmp_path / "home"
-    rotten(whole, home, "raw_snapshots", "twin_health", "features_margin")
+    rot_copy(whole, home, "raw_snapshots", "twin_health", "features_margin")
     (home / "tables/raw_flights" / LOG / "_last_checkpoint").write_text('{"version": 7, "size": 3}')  # was 1
     assert children.night(whole.later, clean) == (0, "")
     ended, message = children.night(whole.later, home)
@@ -224,7 +224,7 @@ def test_working_night_mends_rotten_tables(whole, children, tmp_path):
 
 def test_rotten_file_gives_no_answer(whole, tmp_path):
     home = tmp_path / "home"
-    rotten(whole, home, "features")
+    rot_copy(whole, home, "features")
     with connect(home) as con:
         assert con.sql("select count(*) from flights").fetchall() == [(8,)]
         for what in ("* from features", "* from (select * from routes)", 'count(*) from tables."features"'):
@@ -234,7 +234,7 @@ def test_rotten_file_gives_no_answer(whole, tmp_path):
 
 def test_unreadable_file_is_named(whole, tmp_path):
     home = tmp_path / "home"
-    (file,) = rotten(whole, home, "raw_flights")
+    (file,) = rot_copy(whole, home, "raw_flights")
     flip(file, file.stat().st_size - 6)  # of the length of its footer
     (home / HASH).unlink()
     with pytest.raises(DamageError, match=r"raw_flights/QQX/Z8/.* is not what was written"):

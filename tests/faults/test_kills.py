@@ -14,7 +14,7 @@ import dagster as dg
 import duckdb
 import pytest
 from nights import steps_up_to
-from soundness import faults, state
+from soundness import state
 
 from benchmarks.fault_points import POINTS, fingerprint
 from pipelines.orchestration.runs import open_instance
@@ -24,9 +24,8 @@ KILLS = int(os.environ.get("HDT_SOAK_KILLS", "24"))
 """Kills at random moments, beside those at the named places."""
 
 
-def test_kill_at_each_place_loses_nothing(tiny, children, intact, tmp_path):
+def test_kill_at_each_place_loses_nothing(tiny, children, intact, home):
     """Place by place through the whole night: the first night dies at its first place, the second at its second, ..."""
-    home = children.home(tmp_path / "home")
     for place in count(1):
         ended, message = children.night(tiny.landing, home, fault=f"any:{place}")
         intact(home)
@@ -34,18 +33,17 @@ def test_kill_at_each_place_loses_nothing(tiny, children, intact, tmp_path):
             break
     assert (ended, message) == (0, "")
     assert place > 20
-    assert faults(home, tiny.landing) == []
-    assert state(home) == tiny.end
+    tiny.check_end(home)
 
 
 @pytest.mark.parametrize("point", POINTS)
-def test_kill_at_intake_loses_nothing(tiny, children, intact, tmp_path, point):
+def test_kill_at_intake_loses_nothing(tiny, children, intact, home, point):
     """The place that writes what was delivered: rows may be stored and not yet accounted for."""
-    home = children.home(tmp_path / "home")
     nth = 1 if "register" in point or "publish" in point else 9
-    assert children.night(tiny.landing, home, fault=f"{point}:{nth}", steps=steps_up_to("legs"))[0] == signal.SIGKILL
+    steps = steps_up_to("legs")
+    assert children.night(tiny.landing, home, fault=f"{point}:{nth}", steps=steps)[0] == signal.SIGKILL
     intact(home)
-    assert children.night(tiny.landing, home, steps=steps_up_to("legs")) == (0, "")
+    assert children.night(tiny.landing, home, steps=steps) == (0, "")
     stored = fingerprint(home)
     delivered = [t for t in stored if t.startswith(("raw_", "legs_samples", "legs_verdicts"))]
     assert {t: stored[t] for t in delivered} == {t: tiny.end[t] for t in delivered}
@@ -71,8 +69,7 @@ def test_kill_at_any_moment_loses_nothing(tiny, children, intact, tmp_path):
         shutil.rmtree(home)
 
 
-def test_killed_run_is_marked_failed(tiny, children, tmp_path):
-    home = children.home(tmp_path / "home")
+def test_killed_run_is_marked_failed(tiny, children, home):
     assert children.night(tiny.landing, home, fault="before_mark:2")[0] == signal.SIGKILL
     assert children.night(tiny.landing, home) == (0, "")
     with open_instance(home) as instance:
@@ -81,8 +78,8 @@ def test_killed_run_is_marked_failed(tiny, children, tmp_path):
     assert set(ended) == {dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.SUCCESS}
 
 
-def test_stopped_night_loses_nothing(tiny, children, intact, tmp_path):
-    home = children.home(tmp_path / "home")
+def test_stopped_night_loses_nothing(tiny, children, intact, home):
+    """Asked to stop by a signal."""
     ended, _ = children.night(tiny.landing, home, fault="before_rename:14:term")
     assert ended != 0
     intact(home)
@@ -90,8 +87,7 @@ def test_stopped_night_loses_nothing(tiny, children, intact, tmp_path):
     assert state(home) == tiny.end
 
 
-def test_readers_meet_whole_catalogs_only(tiny, children, tmp_path):
-    home = children.home(tmp_path / "home")
+def test_readers_meet_whole_catalogs_only(tiny, children, home):
     assert children.night(tiny.landing, home, steps=steps_up_to("legs")) == (0, "")
     over = threading.Event()
     answers = []
