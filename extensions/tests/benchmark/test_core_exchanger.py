@@ -12,8 +12,10 @@ AT = {"hot_flow_kg_s": 0.9, "ram_flow_kg_s": 1.6, "hot_in_k": 390.0, "cold_in_k"
 def test_steady_state_is_cross_flow():
     hold = AT | {"ram_flow_kg_s": np.full(300, 1.6)}
     end = {name: values[-1] for name, values in CORE_EXCHANGER.simulate({"hx_fouling": 0.1}, hold, 1.0).items()}
-    steady = HEAT_EXCHANGER.predict({"hx_fouling": 0.1}, AT)
-    assert end == pytest.approx(steady, rel=1e-12)
+    assert end == pytest.approx(HEAT_EXCHANGER.predict({"hx_fouling": 0.1}, AT), rel=1e-12)
+
+
+def test_exact_step_is_many_small_ones():
     one = CORE_EXCHANGER.advance({}, AT, {"core_k": 350.0}, 2.0)["core_k"]
     small = 350.0
     for _ in range(2000):
@@ -46,25 +48,30 @@ def test_door_step_shows_late():
     assert np.all(np.diff(share) >= -1e-12)
 
 
+THIN = AT | {"hot_flow_kg_s": 0.7, "ram_flow_kg_s": 2.0}
+FOULED = CORE_EXCHANGER.nominal | {"hx_fouling": 0.2}
+HOT_FILM = 1700.0 / 0.45 * (0.7 / 0.9) ** 0.6
+COLD_FILM = 1700.0 / 0.45 * (2.0 / 1.6) ** 0.6
+"""Films in series with a wall of a tenth: each has 0.45 of the resistance, at 0.9 and 1.6 kg/s."""
+
+
 def test_core_lies_between_films():
-    """Films in series with a wall of a tenth: each has 0.45 of the resistance, at 0.9 and 1.6 kg/s."""
-    at = AT | {"hot_flow_kg_s": 0.7, "ram_flow_kg_s": 2.0}
-    fouled = CORE_EXCHANGER.nominal | {"hx_fouling": 0.2}
-    now = core(**fouled, **at)
-    hot_k, ram_k = HEAT_EXCHANGER.predict({"hx_fouling": 0.2}, at).values()
-    assert (now.hot_out_k, now.ram_out_k) == (hot_k, ram_k)
+    now = core(**FOULED, **THIN)
+    hot_k, ram_k = HEAT_EXCHANGER.predict({"hx_fouling": 0.2}, THIN).values()
     hot_w_k, ratio = capacity_rates(0.7, 2.0, 390.0, hot_k, 250.0)
-    cold_w_k = hot_w_k / ratio
     heat_w = hot_w_k * (390.0 - hot_k)
-    hot_film = 1700.0 / 0.45 * (0.7 / 0.9) ** 0.6
-    cold_film = 1700.0 / 0.45 * (2.0 / 1.6) ** 0.6
-    under = 0.5 * (390.0 + hot_k) - heat_w / hot_film
-    over = 0.5 * (250.0 + ram_k) + heat_w / cold_film
+    under = 0.5 * (390.0 + hot_k) - heat_w / HOT_FILM
+    over = 0.5 * (250.0 + ram_k) + heat_w / COLD_FILM
+    assert (now.hot_out_k, now.ram_out_k) == (hot_k, ram_k)
     assert now.steady_k == pytest.approx(0.5 * (under + over), rel=1e-9)
-    gains = 1.0 - np.exp(-hot_film / hot_w_k), 1.0 - np.exp(-cold_film / cold_w_k)
+    cold_w_k = hot_w_k / ratio
+    gains = 1.0 - np.exp(-HOT_FILM / hot_w_k), 1.0 - np.exp(-COLD_FILM / cold_w_k)
     assert (now.hot_gain, now.cold_gain) == pytest.approx(gains, rel=1e-9)
     assert now.settling_s == pytest.approx(18e3 / (hot_w_k * gains[0] + cold_w_k * gains[1]), rel=1e-9)
-    warm = core(**fouled, **(at | {"hot_in_k": 420.0}))
+
+
+def test_warm_film_conducts_more():
+    warm = core(**FOULED, **(THIN | {"hot_in_k": 420.0}))
     hot_w_k, _ = capacity_rates(0.7, 2.0, 420.0, warm.hot_out_k, 250.0)
-    film = hot_film * ((0.75 * 420.0 + 62.5) / 355.0) ** 0.38  # k^0.67 mu^-0.27 of air
+    film = HOT_FILM * ((0.75 * 420.0 + 62.5) / 355.0) ** 0.38  # k^0.67 mu^-0.27 of air
     assert warm.hot_gain == pytest.approx(1.0 - np.exp(-film / hot_w_k), rel=1e-9)

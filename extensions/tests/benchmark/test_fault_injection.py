@@ -37,6 +37,16 @@ def rows(page) -> pl.DataFrame:
     return snapshots.with_columns(ram_out_degc=pl.col("tat_degc") + warmed)
 
 
+@pytest.fixture(scope="module")
+def lay(page, rows):
+    """Lays a fault over the rows, from the how-to's first flight on."""
+
+    def lay(fault, **options):
+        return inject(rows, fault, pack=PACK, first_flight=page["first"], **options)
+
+    return lay
+
+
 def cruise(frame: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
     """Rows of the faulty flights in level cruise, with their truth."""
     late = truth.filter(pl.col("since").is_not_null())
@@ -44,15 +54,15 @@ def cruise(frame: pl.DataFrame, truth: pl.DataFrame) -> pl.DataFrame:
 
 
 @pytest.mark.parametrize("fault", [Fouling(0.0), Fouling(0.0, masked=False), DoorLimit(1.0)], ids=str)
-def test_no_fault_changes_nothing(page, rows, fault):
-    injected = inject(rows, fault, pack=PACK, first_flight=page["first"])
+def test_no_fault_changes_nothing(lay, rows, fault):
     # the door is found by bisection, to a ten-millionth of its travel
-    assert_frame_equal(injected.rows, rows, check_exact=False, abs_tol=1e-4)
+    assert_frame_equal(lay(fault).rows, rows, check_exact=False, abs_tol=1e-4)
 
 
 @pytest.mark.parametrize("fault", [Fouling(0.3), DoorLimit(0.2), SensorFault("hx_out_degc", "step", 5.0)], ids=str)
-def test_fault_spares_other_rows(page, rows, fault):
-    injected = inject(rows, fault, pack=PACK, first_flight=page["first"])
+def test_fault_spares_other_rows(lay, rows, fault):
+    """Those of the other pack and of earlier flights, and all other columns."""
+    injected = lay(fault)
     assert_frame_equal(injected.rows.drop(TOUCHED), rows.drop(TOUCHED))
     sound = injected.truth.filter(pl.col("since").is_null())["flight_id"].implode()
     spared = (pl.col("pack") != PACK) | pl.col("flight_id").is_in(sound)
@@ -60,15 +70,14 @@ def test_fault_spares_other_rows(page, rows, fault):
     assert not injected.rows.filter(~spared).equals(rows.filter(~spared))
 
 
-def test_door_opens_before_outlet_warms(page, rows):
-    injected = inject(rows, Fouling(0.15), pack=PACK, first_flight=page["first"])
+def test_door_opens_before_outlet_warms(lay, rows):
+    injected = lay(Fouling(0.15))
     before = rows.select(*KEY, "ram_door_pct", "hx_out_degc")
     both = cruise(injected.rows, injected.truth).join(before, on=KEY, suffix="_before")
     complete = both.drop_nulls([*TOUCHED, "hx_in_degc", "tat_degc", "pt_psia", "pack_flow_lbpm", "altitude_ft", "mach"])
     door = complete["ram_door_pct"]
-    before = complete["ram_door_pct_before"]
     warmer = complete["hx_out_degc"] - complete["hx_out_degc_before"]
-    assert (door >= before - 1e-9).all()
+    assert (door >= complete["ram_door_pct_before"] - 1e-9).all()
     modulating = door < 99.99
     assert 0.3 < modulating.mean() < 0.99
     assert warmer.filter(modulating).abs().max() < 1e-3
@@ -76,9 +85,8 @@ def test_door_opens_before_outlet_warms(page, rows):
     assert warmer.filter(~modulating).max() > 0.5
 
 
-def test_ram_air_lacks_retained_heat(page, rows):
-    fault = Fouling(0.3, masked=False)
-    injected = inject(rows, fault, pack=PACK, first_flight=page["first"], **page["ours"])
+def test_ram_air_lacks_retained_heat(page, lay, rows):
+    injected = lay(Fouling(0.3, masked=False), **page["ours"])
     before = rows.select(*KEY, "hx_out_degc", "ram_out_degc")
     both = cruise(injected.rows, injected.truth).join(before, on=KEY, suffix="_before")
     complete = both.drop_nulls(["hx_in_degc", "hx_out_degc", "ram_out_degc"])
@@ -109,6 +117,9 @@ def test_twin_recovers_injected_loss(page):
         assert loss.height > 150
         assert abs(off.mean()) < limit
         assert off.std() < limit
+
+
+def test_short_door_is_no_loss(page):
     loss = page["estimated_loss"](DoorLimit(0.3), **page["ours"])
     assert loss["estimate"].abs().max() < 0.01
     assert (loss["ram_door_reach"] == 0.3).all()
@@ -137,8 +148,8 @@ def test_health_track_rises_by_loss(page):
 
 
 @pytest.mark.parametrize(("kind", "late"), [("step", 3.0), ("drift", 6.0)])
-def test_sensor_fault_has_declared_size(page, rows, kind, late):
-    injected = inject(rows, SensorFault("tat_degc", kind, 3.0), pack=PACK, first_flight=page["first"])
+def test_sensor_fault_has_declared_size(lay, rows, kind, late):
+    injected = lay(SensorFault("tat_degc", kind, 3.0))
     shifts = injected.rows.with_columns(error=injected.rows["tat_degc"] - rows["tat_degc"])
     error = shifts.join(injected.truth, on=["flight_id", "pack"]).drop_nulls(["since", "error"])
     np.testing.assert_allclose(error.filter(pl.col("since") >= 50)["error"], late)
@@ -146,22 +157,40 @@ def test_sensor_fault_has_declared_size(page, rows, kind, late):
     assert injected.truth["sensor_fault"].unique().sort().to_list() == ["", "tat_degc"]
 
 
-def test_stuck_sensor_repeats_itself(page, rows):
-    stuck = inject(rows, SensorFault("hx_out_degc", "stuck"), pack=PACK, first_flight=page["first"])
-    late = stuck.rows.join(stuck.truth.drop_nulls("since"), on=["flight_id", "pack"])
-    assert late["hx_out_degc"].n_unique() == 1
-    gaps = SensorFault("hx_out_degc", "dropout")
-    first, again = (inject(rows, gaps, pack=PACK, first_flight=page["first"], seed=4) for _ in range(2))
+def faulty_readings(injected) -> pl.Series:
+    """Exchanger's outlet on the flights with the fault."""
+    return injected.rows.join(injected.truth.drop_nulls("since"), on=["flight_id", "pack"])["hx_out_degc"]
+
+
+def test_stuck_sensor_repeats_itself(lay):
+    assert faulty_readings(lay(SensorFault("hx_out_degc", "stuck"))).n_unique() == 1
+
+
+def test_dropout_leaves_gaps(lay):
+    """The same ones by the same seed."""
+    first, again = (lay(SensorFault("hx_out_degc", "dropout"), seed=4) for _ in range(2))
     assert_frame_equal(first.rows, again.rows)
-    share = first.rows.join(first.truth.drop_nulls("since"), on=["flight_id", "pack"])["hx_out_degc"].is_null().mean()
-    assert 0.65 < share < 0.75
+    assert 0.65 < faulty_readings(first).is_null().mean() < 0.75
+
+
+@pytest.mark.parametrize(
+    ("fault", "arguments", "message"),
+    [
+        (SensorFault, ("cabin_degc", "step", 1.0), "cabin_degc is no recorded signal; there are altitude_ft"),
+        (Fouling, (1.0,), "a loss lies in"),
+        (DoorLimit, (30.0,), "a door's reach"),
+    ],
+)
+def test_impossible_fault_is_refused(fault, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        fault(*arguments)
+
+
+def test_unknown_flight_is_refused(rows):
     with pytest.raises(ValueError, match="pack 2 has no flight A9-BAC_19990101_01"):
         inject(rows, Fouling(0.1), pack=2, first_flight="A9-BAC_19990101_01")
+
+
+def test_lacking_column_is_refused(page, rows):
     with pytest.raises(ValueError, match="the rows lack pt_psia"):
         inject(rows.drop("pt_psia"), Fouling(0.1), pack=PACK, first_flight=page["first"])
-    with pytest.raises(ValueError, match="cabin_degc is no recorded signal; there are altitude_ft"):
-        SensorFault("cabin_degc", "step", 1.0)
-    with pytest.raises(ValueError, match="a loss lies in"):
-        Fouling(1.0)
-    with pytest.raises(ValueError, match="a door's reach"):
-        DoorLimit(30.0)

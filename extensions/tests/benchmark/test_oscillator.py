@@ -98,6 +98,9 @@ def test_bound_is_as_published():
     bound = fisher(oscillator_problem(0), TRUTH)
     np.testing.assert_allclose(bound.bound_sd, [0.0121, 0.0171], rtol=5e-3)
     assert abs(bound.correlation[0, 1]) < 0.01
+
+
+def test_position_error_follows_bound():
     truth = true_position_m()
     problems = [oscillator_problem(seed) for seed in SEEDS]
     positions = (p.simulate(NonlinearLeastSquares().estimate(p).belief.mean)[:, 0] for p in problems)
@@ -140,13 +143,18 @@ def test_ranges_are_as_on_paper():
     assert {p.name: (p.nominal, *p.bounds) for p in SPRING_MASS_DAMPER.params} == {
         "mass_kg": (1.0, 0.1, 10.0), "damping_n_s_m": (0.5, 0.0, 10.0), "stiffness_n_m": (2.0, 0.0, 50.0),
     }  # fmt: skip
-    # without damper and force, the rate of change of energy is zero at every state
-    rng = np.random.default_rng(0)
-    x, v = rng.normal(size=(2, 100))
+
+
+def test_free_oscillator_keeps_its_energy():
+    """Without damper and force, the rate of change of energy is zero at every state."""
+    x, v = np.random.default_rng(0).normal(size=(2, 100))
     free = {"force_n": 0.0, "damping_n_s_m": 0.0, "stiffness_n_m": 2.0, "mass_kg": 1.5}
     velocity, acceleration = SPRING_MASS_DAMPER.rates(**free, position_m=x, velocity_m_s=v)
     np.testing.assert_allclose(2.0 * x * velocity + 1.5 * v * acceleration, 0.0, atol=1e-14)
-    # root mean square 0.127 m against a noise of 0.05 m: a ratio of 2.5 a sample
+
+
+def test_signal_is_as_on_paper():
+    """Root mean square 0.127 m against a noise of 0.05 m: a ratio of 2.5 a sample."""
     assert np.sqrt(np.mean(euler_position_m(FORCE_N, 0.01, 0.5, 2.0) ** 2)) == pytest.approx(0.127, abs=0.001)
 
 

@@ -36,6 +36,9 @@ def test_jump_is_followed_without_lag():
     assert abs(tracked.path[JUMP_AT + 15, 0] - 1.6) < 0.1
     assert abs(plain.path[JUMP_AT + 15, 0] - 1.6) > 0.4
     assert abs(tracked.belief.mean[0] - 1.6) < 4.0 * tracked.belief.sd[0]
+
+
+def test_quiet_record_keeps_plain_filter():
     problem = gain_record(1, after=1.0)
     tracked = StrongTracking().estimate(problem)
     plain = ExtendedKalman(smoother_passes=0).estimate(problem)
@@ -43,21 +46,30 @@ def test_jump_is_followed_without_lag():
     np.testing.assert_allclose(tracked.belief.cov, plain.belief.cov, rtol=1e-6)
 
 
+NOMINAL = Belief(np.array([1.0]), np.array([[0.02**2]]))
+
+
 def test_classification_dates_jump():
     problem = gain_record(2)
-    nominal = Belief(np.array([1.0]), np.array([[0.02**2]]))
-    first = classify(problem.names, StrongTracking().estimate(problem), nominal).first()["gain"]
+    first = classify(problem.names, StrongTracking().estimate(problem), NOMINAL).first()["gain"]
     assert first is not None
     assert JUMP_AT <= first <= JUMP_AT + 20
+
+
+def test_classification_of_quiet_record_is_unsure():
     quiet = gain_record(3, after=1.0)
-    none = classify(quiet.names, StrongTracking().estimate(quiet), nominal)
+    none = classify(quiet.names, StrongTracking().estimate(quiet), NOMINAL)
     assert none.first()["gain"] is None or none.probability[JUMP_AT:].max() < 0.95
+
+
+def test_classification_needs_path():
     problem = gain_record(0)
     with pytest.raises(ValueError, match="path"):
         classify(problem.names, NonlinearLeastSquares().estimate(problem), problem.prior)
 
 
 def test_recursive_least_squares_equal_weighted_sum():
+    """As in the textbook."""
     problem = gain_record(4, after=1.0)
     forgetting = 0.97
     u = np.ravel(problem.simulate(np.array([1.0])))

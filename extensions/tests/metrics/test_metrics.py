@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import pytest
 import yaml
 from prometheus_client.parser import text_string_to_metric_families
 from typer.testing import CliRunner
@@ -21,16 +22,27 @@ def figures(text: str) -> dict[str, dict[tuple[str, ...], float]]:
     return {f.name: {tuple(s.labels.values()): s.value for s in f.samples} for f in families}
 
 
-def test_figures_equal_home(sample_home, tmp_path):
-    file = tmp_path / "hdt.prom"
-    result = CliRunner().invoke(app, ["metrics", "--home", str(sample_home), "--out", str(file)])
+def metrics(*words: object):
+    return CliRunner().invoke(app, ["metrics", *map(str, words)])
+
+
+@pytest.fixture(scope="module")
+def values(sample_home, tmp_path_factory):
+    file = tmp_path_factory.mktemp("metrics") / "hdt.prom"
+    result = metrics("--home", sample_home, "--out", file)
     assert result.exit_code == 0, result.output
-    values = figures(file.read_text())
+    return figures(file.read_text())
+
+
+def test_figures_equal_last_night(values, sample_home):
     night = Ledger(sample_home, read_only=True).nights().row(-1, named=True)
     for name in ("files", "new_files", "runs", "cells"):
         assert values[f"hdt_night_{name}"] == {(): float(night[name])}
     assert values["hdt_night_failed"] == {(): 0.0}
     assert 1.0 < values["hdt_night_seconds"][()] < 3600.0
+
+
+def test_figures_equal_catalog(values, sample_home):
     with connect(sample_home) as con:
         flights = con.execute("select operator, epoch(max(departed_at)) from flights group by operator").fetchall()
         ((refused,),) = con.execute("select sum(n_rows) from quarantine where n_rows > 0").fetchall()
@@ -40,16 +52,20 @@ def test_figures_equal_home(sample_home, tmp_path):
     assert sum(values["hdt_quarantined_rows"].values()) == refused
     assert {labels[1] for labels in values["hdt_refused_files"]} == {file for (file,) in files}
     assert sum(values["hdt_open_alerts"].values()) == alerts
-    printed = CliRunner().invoke(app, ["metrics", "--home", str(sample_home)])
-    assert figures(printed.output) == values
 
 
-def test_rules_use_exported_figures(tmp_path, sample_home):
-    result = CliRunner().invoke(app, ["metrics", "--home", str(tmp_path)])
+def test_printed_figures_equal_file(values, sample_home):
+    assert figures(metrics("--home", sample_home).output) == values
+
+
+def test_missing_night_takes_one_line(tmp_path):
+    result = metrics("--home", tmp_path)
     assert isinstance(result.exception, StopError)
     assert "run `hdt nightly" in str(result.exception)
+
+
+def test_rules_use_exported_figures(sample_home):
     names = {family.name for family in read_metrics(sample_home).collect()}
     rules = [rule for group in yaml.safe_load(RULES.read_text())["groups"] for rule in group["rules"]]
     assert len(rules) == 4
-    for rule in rules:
-        assert set(re.findall(r"hdt_\w+", rule["expr"])) <= names
+    assert {name for rule in rules for name in re.findall(r"hdt_\w+", rule["expr"])} <= names

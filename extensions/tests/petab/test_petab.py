@@ -51,8 +51,14 @@ def moving_record():
 def test_equations_become_formulas():
     text = formulas(cooler, ["flow_kg_s", "conductance_kg_s"], {"lift_k": 1.0})[0]
     assert text == "((100.0 * exp(((-conductance_kg_s) / flow_kg_s))) + piecewise(1.0, (flow_kg_s > 2.0), 0.0))"
+
+
+def test_branching_equation_is_no_formula():
     with pytest.raises(TypeError, match="branch on a value"):
         formulas(lambda x: x if x > 0.0 else -x, ["x"], {})
+
+
+def test_unknown_function_is_no_formula():
     with pytest.raises(TypeError, match="arcsin"):
         np.arcsin(Formula("x"))
 
@@ -136,10 +142,13 @@ def test_pypesto_reproduces_fit(tmp_path):
     assert chi2 == pytest.approx(ours.fit.chi2, rel=1e-9)
 
 
-def test_unsupported_problem_is_refused(tmp_path):
+def test_correlated_prior_is_refused(tmp_path):
     tilted = Belief(PRIOR.mean, np.array([[0.25, 0.1], [0.1, 4.0]]))
     with pytest.raises(ValueError, match="no correlations"):
         files(tmp_path, STATIC, ["conductance_kg_s", "lift_k"], static_record(), prior=tilted)
+
+
+def test_changing_inputs_are_refused(tmp_path):
     from hdt_benchmark.spring_mass_damper import SPRING_MASS_DAMPER
 
     swung = {"force_n": np.sin(np.arange(50.0))}, {"measured_m": np.zeros(50)}

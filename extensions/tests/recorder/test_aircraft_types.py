@@ -1,7 +1,6 @@
 """Type descriptions: those that come with the project, and what is said of one with an error."""
 
 import zipfile
-from pathlib import Path
 
 import pytest
 
@@ -40,32 +39,50 @@ def test_type_error_names_its_place(tmp_path, change):
     assert ERRORS[change] in str(error.value)
 
 
-def test_type_coverage_names_missing_columns():
-    coverage = {Path(f).stem: {row[1]: row[2:] for row in coverage_of(read_type(f))} for f in packaged_files()}
-    assert coverage["b787_767"]["hx_fouling"] == coverage["b787_767"]["cac_efficiency_loss"] == ("recorded", "", "")
-    assert coverage["b787_767"]["hx_h_hot_w_k"] == ("not_recorded", "ram_out_degc", "no sensor")
-    assert coverage["a330_717"]["hxt_loss"][0] == "recorded"
-    assert coverage["a330_717"]["hx_fouling"] == ("not_recorded", "ram_door_pct, pack_flow_lbpm", "not recorded")
+@pytest.mark.parametrize(
+    ("file", "name", "covered"),
+    [
+        ("b787_767", "hx_fouling", ("recorded", "", "")),
+        ("b787_767", "cac_efficiency_loss", ("recorded", "", "")),
+        ("b787_767", "hx_h_hot_w_k", ("not_recorded", "ram_out_degc", "no sensor")),
+        ("a330_717", "hxt_loss", ("recorded", "", "")),
+        ("a330_717", "hx_fouling", ("not_recorded", "ram_door_pct, pack_flow_lbpm", "not recorded")),
+    ],
+)
+def test_type_coverage_names_missing_columns(file, name, covered):
+    (path,) = (f for f in packaged_files() if f.stem == file)
+    assert {row[1]: row[2:] for row in coverage_of(read_type(path))}[name] == covered
+
+
+def test_recorder_unit_becomes_unit_of_column():
     (pressure,) = (s for s in read_type(B787).stations[PACK] if s.column == "pt_psia")
     assert pressure.scale * 1013.25 == pytest.approx(14.696, abs=1e-3)
 
 
-def test_bad_type_costs_no_other(tmp_path):
+@pytest.fixture
+def zone(tmp_path):
+    """Two aircraft: one of a type whose map is lacking, one of an unknown type; and a bad description."""
     folder = tmp_path / "types"
     folder.mkdir()
     (folder / "good.toml").write_text('type = "MINE"\nmap = "m.toml"\n[pack]\nmach = "M"\n')
     (folder / "bad.toml").write_text('type = "BAD"\nmap = "m.toml"\n[pack]\nmach = 1\n')
     (tmp_path / "fleet.csv").write_text("operator,tail,packs,type\nAAA,T1,2,MINE\nAAA,T2,2,OTHER\n")
-    types = types_of(tmp_path)
+    return tmp_path
+
+
+def test_bad_type_costs_no_other(zone):
+    types = types_of(zone)
     assert types.by_name["MINE"].stations[PACK][0].parameters == ("M", "M")
     assert types.fault_of("AAA", "T1") == "good.toml names the map m.toml: not there"
     fault = "fleet.csv gives the aircraft the type OTHER, known are A330-717, B787-767, MINE"
     assert fault in types.fault_of("AAA", "T2")
-    recording = tmp_path / "AAA/T2/recorder/T2_20240101_01.dat"
+
+
+def test_recording_of_unknown_type_is_refused(zone):
+    recording = zone / "AAA/T2/recorder/T2_20240101_01.dat"
     recording.parent.mkdir(parents=True)
     recording.write_bytes(b"?")
-    refused = list_landing(tmp_path).quarantine
-    reasons = dict(refused.select("file", "reason").rows())
+    reasons = dict(list_landing(zone).quarantine.select("file", "reason").rows())
     assert reasons == {"types/bad.toml": "bad_type", "AAA/T2/recorder/T2_20240101_01.dat": "unknown_type"}
 
 

@@ -35,13 +35,14 @@ def balances(log: FileIntake) -> bool:
 
 
 def test_head_becomes_one_row(tmp_path):
+    """A repeated one is counted as a duplicate."""
     other = printed_report("X-1", AT.replace(hour=13), 5_000, "-.-- 111 -- X 01 111 0.00")
     log = read_printed(delivered(tmp_path, message_file(GOOD, other, GOOD)), NOW, "v")
-    first, second = log.rows.rows(named=True)
-    assert (first["reported_at"], first["altitude_m"], first["mach"]) == (AT, pytest.approx(9448.8), 0.801)
-    assert (first["pack_1_flow_kg_s"], first["bleed_1_open"], first["crossfeed_open"]) == (1.2, True, False)
-    assert (second["pack_1_flow_kg_s"], second["bleed_1_open"], second["crossfeed_open"]) == (None, None, None)
-    assert (second["pack_2_flow_kg_s"], second["bleed_2_open"]) == (0.0, True)
+    columns = ("pack_1_flow_kg_s", "pack_2_flow_kg_s", "bleed_1_open", "bleed_2_open", "crossfeed_open")
+    first, second = log.rows.select(columns).rows()
+    assert log.rows.select("reported_at", "altitude_m", "mach").row(0) == (AT, pytest.approx(9448.8), 0.801)
+    assert first == (1.2, 1.2, True, True, False)
+    assert second == (None, 0.0, None, True, None)
     assert (log.n_delivered, log.n_duplicate) == (3, 1)
     assert balances(log)
     assert log.quarantine.is_empty()
@@ -78,7 +79,9 @@ def test_archive_is_read_by_message_file(tmp_path):
     assert read_printed(file, NOW, "v").rows.height == 1
 
 
-def test_type_brings_own_layouts(tmp_path):
+@pytest.fixture
+def survey(tmp_path):
+    """A printed report by a type's own layouts."""
     (tmp_path / "types").mkdir()
     (tmp_path / "fleet.csv").write_text("operator,tail,packs,type\nAAA,X-1,2,MINE\n")
     description = 'type = "MINE"\nmap = "m.toml"\nreports = "mine.reports"\n[component.HXT]\ntat_degc = "TAT"\n'
@@ -86,11 +89,17 @@ def test_type_brings_own_layouts(tmp_path):
     layouts = "<**>\nC1 {acid:s} {date:7s} {utc:8s} {alt:5} {bleed_1:1}\n<91> PACK SURVEY\nN1 {flow:4}\n"
     (tmp_path / "types/mine.reports").write_text(layouts)
     text = "  A999 PACK SURVEY REPORT <91>   PAGE 01 OF 01\n\nC1 .X-1 05MAR26 12.30.05 31000 0\n"
-    file = delivered(tmp_path, text.encode(), "survey.txt")
-    (row,) = read_printed(file, NOW, "v").rows.rows(named=True)
+    return delivered(tmp_path, text.encode(), "survey.txt")
+
+
+def test_type_brings_own_layouts(survey):
+    (row,) = read_printed(survey, NOW, "v").rows.rows(named=True)
     assert (row["report"], row["bleed_1_open"], row["bleed_2_open"]) == ("91", False, None)
+
+
+def test_bad_layout_of_type_names_line(survey, tmp_path):
     (tmp_path / "types/mine.reports").write_text("C1 {acid:s}\n")
-    log = read_printed(file, NOW, "v")
+    log = read_printed(survey, NOW, "v")
     assert "mine.reports: line 1: a report begins with" in log.quarantine["detail"][0]
 
 
@@ -158,18 +167,25 @@ def read(*texts: str):
 
 
 def test_report_follows_its_layout():
+    values = {x.row: x.values for x in read(REPORT).lines}
+    assert values == values | {
+        "C1": {"acid": ".X-ABCD", "date": "05MAR26", "flight": "TST1234"},
+        "N1": {"flow": 1.31, "outlet": 12.5, "valve": "11"},
+        "N2": {"flow": None, "outlet": -3.0, "valve": "1X"},
+        "E1": {"utc": "12.30.05", "max": 101.5},
+        "REASON:": {"reason": "NOT CLOSED IN TIME"},
+    }
+
+
+def test_reports_are_told_apart():
     result = read(OTHER, REPORT, REPORT)
     assert result.rejected == ()
     assert result.undeclared == ("A999 DOOR REPORT(TST)",)
     rows = ("C1", "N1", "N2", "S1", "S2", "E1", "REASON:")
-    assert [(x.report, x.row) for x in result.lines[:7]] == [(1, r) for r in rows]
-    assert {x.report for x in result.lines} == {1, 2}
-    values = {x.row: x.values for x in result.lines}
-    assert values["C1"] == {"acid": ".X-ABCD", "date": "05MAR26", "flight": "TST1234"}
-    assert values["N1"] == {"flow": 1.31, "outlet": 12.5, "valve": "11"}
-    assert values["N2"] == {"flow": None, "outlet": -3.0, "valve": "1X"}
-    assert values["E1"] == {"utc": "12.30.05", "max": 101.5}
-    assert values["REASON:"] == {"reason": "NOT CLOSED IN TIME"}
+    assert [(x.report, x.row) for x in result.lines] == [(n, r) for n in (1, 2) for r in rows]
+
+
+def test_plain_text_is_read_alike():
     plain = read_reports(REPORT.encode(), LAYOUTS)
     assert [x.values for x in plain.lines] == [x.values for x in read(REPORT).lines]
     assert REPORT.splitlines()[plain.lines[1].line - 1].startswith("N1")

@@ -53,6 +53,9 @@ def test_only_named_parameters_are_decoded(recording, tmp_path):
     done = hdt("recorder", "decode", recording[0], "--map", DATA / "demo_717.csv", *words)
     assert done.returncode == 0, done.stderr
     assert pl.read_parquet(target)["parameter"].unique(maintain_order=True).to_list() == ["PITCH", "MODE"]
+
+
+def test_archive_is_read_by_largest_file(recording, tmp_path):
     archive = tmp_path / "flight.zip"
     with zipfile.ZipFile(archive, "w") as file:
         file.writestr("log.txt", "short")

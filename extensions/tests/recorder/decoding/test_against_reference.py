@@ -65,67 +65,94 @@ def disagreements(ours: dict, reference: dict[str, pl.DataFrame]) -> list[str]:
     return lines
 
 
-def test_parameters_equal_independent_decoder(a330):
+def test_717_parameters_equal_independent_decoder(a330):
     reference = theirs("decoded_717.parquet")
     assert len(reference) == 426
     assert disagreements(a330, {n: f for n, f in reference.items() if n not in LISTED_TWICE}) == []
     for name in LISTED_TWICE:
         both = reference[name].select("t_s", "value").rows()
         assert set(zip(a330[name].t_s, a330[name].value, strict=True)) <= set(both)
+
+
+def test_767_parameters_equal_independent_decoder():
     reference = theirs("decoded_767.parquet")
     b787 = read("b787.vec", "b787_767.zip")
     assert (len(reference), len(b787)) == (130, 2718)
     assert disagreements(b787, reference) == []
 
 
-def test_printed_reports_are_read_whole(a330):
-    """And they say what the recording says: one flight, one pair of engines."""
-    reports = read_reports(members("a330_717.wgl.zip")["message.dat"], A330)
+@pytest.fixture(scope="module")
+def reports():
+    return read_reports(members("a330_717.wgl.zip")["message.dat"], A330)
+
+
+def test_printed_reports_are_read_whole(reports):
     assert reports.rejected == ()
     assert {line.number for line in reports.lines} == {"08", "10", "13", "15", "18", "37", "50"} == set(A330)
     assert len(reports.lines) == 224
     assert len(reports.undeclared) == 5  # doors, taxi, push back
+
+
+def test_printed_reports_agree_with_recording(reports):
+    """One flight, one pair of engines, packs off at engine start."""
     heads = [line.values for line in reports.lines if line.row == "C1"]
+    packs = [line.values for line in reports.lines if line.row == "C3" and line.number == "10"]
     assert {head["flight"] for head in heads} == {"CAA8765"}
     assert {head["from"] for head in heads} == {"ZJHK", None}
     engines = {line.values["esn"] for line in reports.lines if "esn" in line.values}
     assert engines == {"735177", "735125", "000000"}
-    # packs off at engine start
-    packs = [line.values for line in reports.lines if line.row == "C3" and line.number == "10"]
     assert {(p["pack_flow_1"] < 0.1, p["crossfeed"], p["apu"]) for p in packs} == {(True, 1.0, "1")}
 
 
-def test_arinc_647a_examples_are_read():
-    """Every kind of element of the standard; what its words leave to a person is told."""
-    examples = {n: read_xml(text) for n, text in members("arinc_647a_1.zip").items() if n.endswith(".xml")}
-    (frame_767,), (frame_717,) = ([m for m in examples.values() if isinstance(m, kind)] for kind in (Map767, Map717))
-    assert frame_717.words == 64
-    assert frame_717.subframe_s == 60 / 61
-    assert set(frame_717.parameters) >= {"Altitude Press-L", "Time UTC-Min", "Rudder Ped Pos", "Radio Altitude"}
-    minutes = frame_717.parameters["Time UTC-Min"]
+@pytest.fixture(scope="module")
+def examples():
+    """The maps of the standard for frames of ARINC 717 and 767, every kind of element in them."""
+    maps = [read_xml(text) for n, text in members("arinc_647a_1.zip").items() if n.endswith(".xml")]
+    (of_717,), (of_767,) = ([m for m in maps if isinstance(m, kind)] for kind in (Map717, Map767))
+    return {717: of_717, 767: of_767}
+
+
+def test_717_map_of_standard_is_read(examples):
+    frame = examples[717]
+    assert (frame.words, frame.subframe_s) == (64, 60 / 61)
+    assert set(frame.parameters) >= {"Altitude Press-L", "Time UTC-Min", "Rudder Ped Pos", "Radio Altitude"}
+    minutes = frame.parameters["Time UTC-Min"]
     assert (minutes.cycle, [s.pieces[0].frame for s in minutes.samples]) == (16, [1, 9])
-    assert len(frame_717.parameters["Radio Altitude"].samples) == 2
-    assert len(frame_717.parameters["Control Column Position"].samples) == 16
-    unreadable = {n: p.unreadable for n, p in frame_717.parameters.items() if p.unreadable}
-    assert set(unreadable) == {"Rudder Ped Pos", "Lateral Range"}
+    assert len(frame.parameters["Radio Altitude"].samples) == 2
+    assert len(frame.parameters["Control Column Position"].samples) == 16
+
+
+def test_unreadable_parameters_of_standard_are_named(examples):
+    """Where its words leave the conversion to a person."""
+    unreadable = {n for n, p in examples[717].parameters.items() if p.unreadable}
+    assert unreadable == {"Rudder Ped Pos", "Lateral Range"}
+
+
+def test_767_map_of_standard_is_read(examples):
+    frames = examples[767].frames
     rates = {"1 Hz Parameters": 1.0, "Rudder Exceedance Parameters": None, "4 Hz Parameters": 4.0}
-    assert [(f.title, f.rate_hz) for f in frame_767.frames.values()] == [*rates.items()]
-    assert frame_767.frames[3].size == 12 + 3  # two of 12 bits
+    assert [(f.title, f.rate_hz) for f in frames.values()] == [*rates.items()]
+    assert frames[3].size == 12 + 3  # two of 12 bits
 
 
-def test_whole_values_agree_with_reports(a330):
-    """Beside the values as listed: the flight, the airport and the position that the printed reports have too."""
+def texts(series) -> set[str]:
+    return {series.text.names[c] for c in series.text.codes[series.valid]}
 
-    def texts(name: str) -> set[str]:
-        series = a330[name]
-        return {series.text.names[c] for c in series.text.codes[series.valid]}
 
-    assert texts("CITY_FROM_R.whole") == {"ZJHK"}
-    assert {c[:4] for c in texts("FNO_P5678.whole")} == {"765 "}
+def test_whole_texts_agree_with_reports(a330):
+    """Beside the values as listed: flight and airport that the printed reports have too."""
+    assert texts(a330["CITY_FROM_R.whole"]) == {"ZJHK"}
+    assert {c[:4] for c in texts(a330["FNO_P5678.whole"])} == {"765 "}
+
+
+def test_whole_positions_lie_at_airport(a330):
     latitude = a330["LATPGPS.whole"].value
     longitude = a330["LONGPGPS.whole"].value
     assert 19.8 < latitude.min() < latitude.max() < 20.4  # north of Haikou
     assert 110.3 < longitude.min() < longitude.max() < 110.7
     assert np.abs(np.diff(latitude)).max() < 0.01
+
+
+def test_whole_numbers_are_plausible(a330):
     assert np.abs(a330["LATG.whole"].value).max() < 0.1  # of the lateral acceleration's 4 g as listed
     assert 300_000 < a330["GW.whole"].value[0] < 340_000

@@ -89,10 +89,16 @@ def test_flipped_sync_word_costs_both_sides():
     assert arrangement.damage.damaged == 2
     (series,) = decode(arrangement, [DEMO_717.parameters["PACK_TEMP"]])
     assert np.flatnonzero(~series.valid).tolist() == [41, 42]
+
+
+def test_lost_word_costs_its_subframe():
     data = pack(recording(2), PACKINGS[2])
     position = 64 * 12 // 8 * 30 + 21
     arrangement = arranged(data[:position] + data[position + 3 :])
     assert np.argwhere(~arrangement.whole).tolist() == [[2, 7]]
+
+
+def test_standing_still_costs_no_row():
     words = recording(3)
     words[20:, COUNTER] += 1000
     arrangement = arranged(pack(words, PACKINGS[0]))
@@ -155,13 +161,15 @@ def test_lost_767_frame_is_null():
     data = frames_767(DEMO_767, raw_767(0))
     frames = find_frames(np.frombuffer(data, np.uint8))
     third = np.flatnonzero(frames.number == 3)[20]
-    shortened = data[: frames.place[third]] + data[frames.place[third] + frames.size[third] :]
-    recorded = arranged_767(shortened)
+    recorded = arranged_767(data[: frames.place[third]] + data[frames.place[third] + frames.size[third] :])
     assert recorded.damage.missing == 1
     (series,) = decode(recorded, [DEMO_767.parameters["SPEED"]])
     # the frame before it may be the beginning of the one and the end of the other
     assert np.flatnonzero(~series.valid).tolist() == [19, 20]
     np.testing.assert_allclose(np.diff(series.t_s), 1.0)
+
+
+def test_jittering_times_lose_nothing():
     rng = np.random.default_rng(9)
     data = bytearray(frames_767(DEMO_767, raw_767(9)))
     frames = find_frames(np.frombuffer(data, np.uint8))

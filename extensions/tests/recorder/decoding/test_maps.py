@@ -94,15 +94,19 @@ def test_map_formats_read_same_values(layout, names, more):
         assert theirs[name].parameter.rate_hz == ours[name].parameter.rate_hz
 
 
-def test_vec_has_values_listed_or_whole():
+def test_vec_numbers_are_listed_or_whole():
     series = read(RECORDING, VEC)
     ours = read(RECORDING)["FREQUENCY"]
     np.testing.assert_allclose(series["FREQUENCY"].value, 100 * (ours.value - 100))
     np.testing.assert_allclose(series["FREQUENCY.whole"].value, ours.value)
     assert texts(series["FREQUENCY"]) == texts(ours)
-    # the export numbers parts 1 to 3, so that the fourth letter is listed as a sample of its own
+
+
+def test_vec_texts_are_listed_or_whole():
+    series = read(RECORDING, VEC)
     ours = texts(read(RECORDING)["CITY"])
     assert texts(series["CITY.whole"]) == ours
+    # the export numbers parts 1 to 3, so that the fourth letter is listed as a sample of its own
     assert texts(series["CITY"]) == [x for c in ours for x in (c[:3] + "\0", "\0\0\0" + c[3])]
 
 
@@ -155,14 +159,23 @@ def garble(text: str, rng: np.random.Generator) -> str:
     return "".join(chars)
 
 
-def test_conversions_follow_their_formulas():
+def test_parameters_without_formula_are_listed():
+    """What only a person can convert."""
     assert "Teledyne Synchro" in read_xml(XML.encode()).parameters["RUDDER"].unreadable
     assert "SOMETHING NEW" in VEC.parameters["ODD"].unreadable
     assert {"RUDDER", "ODD"}.isdisjoint({*read(RECORDING, VEC), *read(RECORDING, read_xml(XML.encode()))})
-    x = np.array([-1.0, 0.0, 0.5, 2.0, 3.0])
-    np.testing.assert_allclose(Polynomial((1.0, 0.0, 2.0))(x), 1.0 + 2.0 * x**2)
-    np.testing.assert_allclose(Segments((0.0, 2.0), (1.0, 3.0), (0.0, -4.0))(x), [np.nan, 0.0, 0.5, 2.0, 5.0])
-    np.testing.assert_allclose(LookupTable((0.0, 1.0, 2.0), (0.0, 10.0, 0.0))(x), [np.nan, 0.0, 5.0, 0.0, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("conversion", "expected"),
+    [
+        (Polynomial((1.0, 0.0, 2.0)), [3.0, 1.0, 1.5, 9.0, 19.0]),
+        (Segments((0.0, 2.0), (1.0, 3.0), (0.0, -4.0)), [np.nan, 0.0, 0.5, 2.0, 5.0]),
+        (LookupTable((0.0, 1.0, 2.0), (0.0, 10.0, 0.0)), [np.nan, 0.0, 5.0, 0.0, np.nan]),
+    ],
+)
+def test_conversion_follows_its_formula(conversion, expected):
+    np.testing.assert_allclose(conversion(np.array([-1.0, 0.0, 0.5, 2.0, 3.0])), expected)
 
 
 def test_vec_767_reads_same_values():
