@@ -10,10 +10,18 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import hdt_core
-import pipelines
 
 OURS = ("hdt_core", "pipelines", "dagster_batched")
+ROOT = Path(__file__).parents[1]
 MODULES = sorted(m.name for m in pkgutil.walk_packages(hdt_core.__path__, "hdt_core."))
+
+
+def sources(*folders: str) -> list[Path]:
+    return [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
+
+
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def test_science_loads_no_pipeline():
@@ -30,25 +38,14 @@ def test_science_loads_no_pipeline():
 
 
 def test_top_level_is_as_agreed():
-    root = Path(__file__).parents[1]
-    for name in (
-        "pipelines",
-        "dagster_batched",
-        "hdt_core",
-        "sql",
-        "data_samples",
-        "tests",
-        "dagster.yaml",
-        "pyproject.toml",
-        "requirements.lock",
-    ):
-        assert (root / name).exists(), name
+    names = (*OURS, "sql", "data_samples", "tests", "dagster.yaml", "pyproject.toml", "requirements.lock")
+    assert [name for name in names if not (ROOT / name).exists()] == []
 
 
 def imported(module: str, path: Path, modules: Mapping[str, Path]) -> set[str]:
     """Modules of ours that a module imports, at whatever depth, and what only a type checker is shown."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -57,55 +54,63 @@ def imported(module: str, path: Path, modules: Mapping[str, Path]) -> set[str]:
     return names & set(modules) - {module}
 
 
-def circle(graph: Mapping[str, set[str]]) -> list[str]:
+def circle(modules: Mapping[str, Path]) -> list[str]:
     """Modules that import each other in a circle, the first again at the end; empty where none do."""
     try:
-        TopologicalSorter(graph).prepare()
+        TopologicalSorter({name: imported(name, path, modules) for name, path in modules.items()}).prepare()
     except CycleError as error:
         return list(reversed(error.args[1]))
     return []
 
 
-def test_no_modules_import_in_circle(tmp_path):
+def test_no_modules_import_in_circle():
     """Imports inside a function and for a type checker count too: they may wait, not hide a circle."""
-    root = Path(__file__).parents[1]
-    files = {p: p.relative_to(root).with_suffix("") for name in OURS for p in (root / name).rglob("*.py")}
-    modules = {".".join(p.parts).removesuffix(".__init__"): file for file, p in files.items()}
+    names = {p: ".".join(p.relative_to(ROOT).with_suffix("").parts) for p in sources(*OURS)}
+    modules = {name.removesuffix(".__init__"): path for path, name in names.items()}
     assert len(modules) > 200
-    assert circle({name: imported(name, path, modules) for name, path in modules.items()}) == []
-    paths = {name: tmp_path / f"{name}.py" for name in ("a", "b", "c")}
-    paths["a"].write_text("import b\n")
-    paths["b"].write_text("def late():\n    from c import thing\n")
-    paths["c"].write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import a\n")
-    cycle = circle({name: imported(name, path, paths) for name, path in paths.items()})
-    assert set(cycle) == {"a", "b", "c"}
+    assert circle(modules) == []
 
 
-def test_private_dagster_stays_below_root():
-    root = Path(__file__).parents[1]
-    sources = [p for name in ("hdt_core", "pipelines") for p in (root / name).rglob("*.py")]
+def test_circle_of_imports_is_detected(tmp_path):
+    texts = {
+        "a": "import b\n",
+        "b": "def late():\n    from c import thing\n",
+        "c": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import a\n",
+    }
+    paths = {name: tmp_path / f"{name}.py" for name in texts}
+    for name, path in paths.items():
+        path.write_text(texts[name])
+    assert set(circle(paths)) == {"a", "b", "c"}
+
+
+def test_house_imports_no_private_dagster():
     private = re.compile(r"^\s*(from|import) dagster\w*\._", re.MULTILINE)
-    assert [p.name for p in sources if private.search(p.read_text(encoding="utf-8"))] == []
-    assert len(list(Path(pipelines.__file__).parent.glob("*.py"))) <= 15
+    files = sources("hdt_core", "pipelines")
+    assert [p.name for p in files if private.search(p.read_text(encoding="utf-8"))] == []
+
+
+def test_root_of_pipelines_is_short():
+    assert len(list((ROOT / "pipelines").glob("*.py"))) <= 15
 
 
 def private(path: Path) -> set[str]:
     """Modules of Dagster's that a module imports and that Dagster does not offer to others."""
     names = set[str]()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         names |= {alias.name for alias in node.names} if isinstance(node, ast.Import) else set()
         names |= {str(node.module)} if isinstance(node, ast.ImportFrom) else set()
     return {n for n in names if re.match(r"dagster\w*\.", n) and not n.startswith("dagster_batched.")}
 
 
 def test_page_lists_private_dagster():
-    root = Path(__file__).parents[1]
-    rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", (root / "dagster_batched/README.md").read_text(), re.MULTILINE)
+    page = (ROOT / "dagster_batched/README.md").read_text()
+    rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", page, re.MULTILINE)
     listed = {name: set(re.findall(r"`(dagster\w*\.[\w.]+)`", cells)) - {"dagster.yaml"} for name, cells in rows}
-    used = {p.stem: private(p) for p in (root / "dagster_batched").glob("*.py") if p.stem != "__init__"}
-    assert listed == used
-    others = {str(p): private(p) for name in ("pipelines", "hdt_core") for p in (root / name).rglob("*.py")}
-    assert {p: n for p, n in others.items() if n} == {}
+    assert listed == {p.stem: private(p) for p in (ROOT / "dagster_batched").glob("*.py") if p.stem != "__init__"}
+
+
+def test_private_dagster_stays_in_one_folder():
+    assert {str(p): names for p in sources("pipelines", "hdt_core") if (names := private(p))} == {}
 
 
 MANY_TO_MANY = {
@@ -124,12 +129,15 @@ MANY_TO_MANY = {
 def test_joins_declare_cardinality():
     """Polars fails at once where rows do not match as declared; a doubled key once took 18 GB of memory."""
     many = set()
-    top = Path(hdt_core.__file__).parents[1]
-    for path in (p for room in ("hdt_core", "pipelines", "dagster_batched") for p in (top / room).rglob("*.py")):
-        for where, how in joins(ast.parse(path.read_text(encoding="utf-8"))):
-            assert how in ("m:1", "1:1", "m:m"), f"{path.relative_to(top)}:{where} declares no cardinality"
-            many |= {str(path.relative_to(top))} if how == "m:m" else set()
+    for path in sources(*OURS):
+        name = str(path.relative_to(ROOT))
+        for where, how in joins(parsed(path)):
+            assert how in ("m:1", "1:1", "m:m"), f"{name}:{where} declares no cardinality"
+            many |= {name} if how == "m:m" else set()
     assert many == set(MANY_TO_MANY)
+
+
+def test_undeclared_join_is_detected():
     text = "a.join(b, on='k')\na.join(b, on='k', how='semi')\n', '.join(c)\na.join(b, on='k', validate='m:1')"
     assert list(joins(ast.parse(text))) == [(1, None), (4, "m:1")]
 

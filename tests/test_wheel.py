@@ -14,6 +14,7 @@ import pytest
 from nights import keep_base
 
 ROOT = Path(__file__).parents[1]
+PACKAGES = ("hdt_core", "pipelines", "dagster_batched", "sql")
 DEMO = """
 import importlib.metadata, pathlib, sys
 sys.modules["numba"] = None  # importing it fails, as where it is not installed
@@ -44,7 +45,7 @@ def wheel(tmp_path_factory) -> Path:
     """Built from a copy, so that nothing is left in the repository."""
     source = tmp_path_factory.mktemp("source")
     target = tmp_path_factory.mktemp("wheel")
-    for name in ("hdt_core", "pipelines", "dagster_batched", "sql"):
+    for name in PACKAGES:
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
@@ -53,40 +54,48 @@ def wheel(tmp_path_factory) -> Path:
     return next(target.glob("*.whl"))
 
 
-def test_wheel_carries_data_files(wheel):
+@pytest.fixture(scope="module")
+def names(wheel) -> set[str]:
+    """Files in the wheel."""
+    return set(zipfile.ZipFile(wheel).namelist())
+
+
+def test_wheel_has_version_of_project(wheel):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert wheel.name.startswith(f"hybrid_digital_twin-{project['version']}-")
-    names = set(zipfile.ZipFile(wheel).namelist())
-    beside = [
-        p
-        for name in ("hdt_core", "pipelines", "dagster_batched", "sql")
-        for p in (ROOT / name).rglob("*")
-        if p.is_file()
-    ]
-    expected = {
-        p.relative_to(ROOT).as_posix() for p in beside if p.suffix in {".sql", ".css", ".js", ".toml", ".typed"}
-    }
-    assert len(expected) > 30
-    assert expected <= names
+
+
+def test_wheel_carries_data_files(names):
+    """What is no Python, and the mark that it is typed."""
+    suffixes = {".sql", ".css", ".js", ".toml", ".typed"}
+    files = [p for package in PACKAGES for p in (ROOT / package).rglob("*") if p.is_file() and p.suffix in suffixes]
+    assert len(files) > 30
+    assert {p.relative_to(ROOT).as_posix() for p in files} <= names
+
+
+def test_wheel_carries_no_tests(names):
     assert not {h for h in names if h.startswith(("tests", "benchmarks", "docs"))}
 
 
-def test_wheel_carries_referenced_pages(wheel):
-    """Messages say `hdt docs PAGE`; none names a file that only a checkout has."""
-    names = set(zipfile.ZipFile(wheel).namelist())
+@pytest.fixture(scope="module")
+def messages() -> list[str]:
+    """Texts that the code may show, and those of its settings."""
     sources = [*(ROOT / "hdt_core").rglob("*.py"), *(ROOT / "pipelines").rglob("*.py")]
-    texts = [
-        node.value
-        for file in sources
-        for node in _messages(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node.value, str)
-    ]
-    texts += [file.read_text(encoding="utf-8") for file in (ROOT / "pipelines").rglob("*.toml")]
-    pages = {page for text in texts for page in re.findall(r"`hdt docs ([a-z0-9-]+)`", text)}
+    nodes = (node for file in sources for node in _messages(ast.parse(file.read_text(encoding="utf-8"))))
+    texts = [node.value for node in nodes if isinstance(node.value, str)]
+    return texts + [file.read_text(encoding="utf-8") for file in (ROOT / "pipelines").rglob("*.toml")]
+
+
+def test_wheel_carries_referenced_pages(names, messages):
+    """Messages say `hdt docs PAGE`."""
+    pages = {page for text in messages for page in re.findall(r"`hdt docs ([a-z0-9-]+)`", text)}
     assert pages >= {"raw-data", "howto-recorder"}
     assert {f"pipelines/docs/{page}.md" for page in pages} <= names
     assert {Path(h).suffix for h in names if h.startswith("pipelines/docs/")} == {".md"}
-    assert [t for t in texts if re.search(r"\bsee docs/|\(docs/[a-z-]+\.md\)", t)] == []
+
+
+def test_messages_name_no_file_of_checkout(messages):
+    assert [t for t in messages if re.search(r"\bsee docs/|\(docs/[a-z-]+\.md\)", t)] == []
 
 
 def _messages(tree: ast.Module) -> list[ast.Constant]:
