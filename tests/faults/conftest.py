@@ -38,6 +38,10 @@ class Children:
         killed = os.WTERMSIG(status) if os.WIFSIGNALED(status) else None
         return (0 if status == 0 else killed), answer["said"]
 
+    def complete_night(self, landing: Path, home: Path, **how: Any) -> None:
+        """A night that ends well and has nothing to say."""
+        assert self.night(landing, home, **how) == (0, "")
+
     def home(self, path: Path) -> Path:
         """A new home that knows the simulated lives already."""
         keep_base(self.base, path)
@@ -85,7 +89,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory, children: Children) -> Tiny:
     zone.drop_papers(landing)
     spoil(landing)
     home = children.home(root / "home")
-    assert children.night(landing, home) == (0, "")
+    children.complete_night(landing, home)
     assert faults(home, landing) == []
     return Tiny(landing, state(home))
 

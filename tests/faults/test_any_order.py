@@ -94,14 +94,14 @@ class AnyOrder(RuleBasedStateMachine):
     @precondition(lambda self: any(self.good.values()))
     @rule(until=FLIGHTS)
     def backfill(self, until: str) -> None:
-        assert self.children.night(self.landing, self.home, steps=INTAKE, only=until) == (0, "")
+        self.children.complete_night(self.landing, self.home, steps=INTAKE, only=until)
         self.stored |= self.rows_by_flight(until)
         self.agree()
 
     @precondition(lambda self: self.stored)
     @rule()
     def publish(self) -> None:
-        assert self.children.night(self.landing, self.home, publish=1) == (0, "")
+        self.children.complete_night(self.landing, self.home, publish=1)
         with connect(self.home) as con:
             rows = con.execute("select flight_id, count(*) from tables.raw_snapshots group by all").fetchall()
         assert dict(rows).items() >= self.stored.items()
@@ -151,7 +151,7 @@ def test_killed_night_keeps_its_account(children, intact, home, tmp_path, goes):
     file.unlink() if goes == "taken away" else file.write_bytes(b"PAR1")
     if goes == "replaced":
         ZONE.only(ZONE.flights[:1]).drop_history(landing)
-    assert children.night(landing, home, steps=INTAKE) == (0, "")
+    children.complete_night(landing, home, steps=INTAKE)
     intact(home)
     assert Store(home).read_table("raw_snapshots").height == stored
     assert Store(home).read_table("raw_deliveries")["loaded"].sum() == stored

@@ -34,7 +34,7 @@ def first(children, tmp_path_factory) -> Path:
     drop_fleet(root / "landing", [ZONE])
     ZONE.only(ZONE.flights[:4]).drop_csv(root / "landing")
     ZONE.drop_papers(root / "landing")
-    assert children.night(root / "landing", children.home(root / "home")) == (0, "")
+    children.complete_night(root / "landing", children.home(root / "home"))
     return root
 
 
@@ -43,7 +43,7 @@ def end(first, children, tmp_path_factory) -> dict[str, str]:
     """The tables after a second night, with a fifth flight."""
     own = Path(shutil.copytree(first, tmp_path_factory.mktemp("end") / "own"))
     ZONE.only(ZONE.flights[4:]).drop_csv(own / "landing")
-    assert children.night(own / "landing", own / "home") == (0, "")
+    children.complete_night(own / "landing", own / "home")
     return fingerprint(own / "home")
 
 
@@ -84,11 +84,11 @@ def once_read(monkeypatch: pytest.MonkeyPatch, table: str, work: Callable[[], No
 def test_page_run_over_night_loses_nothing(own, end, children, monkeypatch, stage, read):
     def fly() -> None:
         ZONE.only(ZONE.flights[4:]).drop_csv(own / "landing")
-        assert children.night(own / "landing", own / "home") == (0, "")
+        children.complete_night(own / "landing", own / "home")
 
     once_read(monkeypatch, read, fly)
     run_from_page(own, stage)
-    assert children.night(own / "landing", own / "home") == (0, "")
+    children.complete_night(own / "landing", own / "home")
     assert fingerprint(own / "home") == end
 
 

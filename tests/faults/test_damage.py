@@ -60,10 +60,10 @@ def whole(children, tmp_path_factory) -> Whole:
     for zone in zones:
         zone.only(zone.flights[:3]).drop_csv(landing)
         zone.drop_papers(landing)
-    assert children.night(landing, home) == (0, "")
+    children.complete_night(landing, home)
     for zone in zones:
         zone.only(zone.flights[3:4]).drop_csv(landing)
-    assert children.night(landing, home) == (0, "")
+    children.complete_night(landing, home)
     later = Path(shutil.copytree(landing, root / "later", copy_function=shutil.copy2))
     for zone in zones:
         zone.only(zone.flights[4:]).drop_csv(later)
@@ -184,7 +184,7 @@ def test_night_repairs_file_doctor_names(whole, children, tmp_path):
     assert (ended, report) == (0, "1 of 3 files of features were missing or changed: made again")
     assert fingerprint(home) == whole.stored
     assert answers(home) == whole.answers
-    assert children.night(whole.landing, home) == (0, "")
+    children.complete_night(whole.landing, home)
 
 
 def test_idle_nights_notice_rot_in_turn(whole, children, tmp_path):
@@ -194,7 +194,7 @@ def test_idle_nights_notice_rot_in_turn(whole, children, tmp_path):
     ledger = Ledger(home)
     while not seal.files_to_read([name], ledger.nights().height + 1):
         ledger.note_night(ledger.nights().row(-1))
-    assert children.night(whole.landing, home) == (0, "")
+    children.complete_night(whole.landing, home)
     ended, message = children.night(whole.landing, home)
     assert (ended, message) == (0, "1 of 3 files of residuals were missing or changed: made again")
     assert fingerprint(home) == whole.stored
@@ -213,7 +213,7 @@ def test_working_night_mends_rotten_tables(whole, children, tmp_path):
     home = tmp_path / "home"
     rot_copy(whole, home, "raw_snapshots", "twin_health", "features_margin")
     (home / "tables/raw_flights" / LOG / "_last_checkpoint").write_text('{"version": 7, "size": 3}')  # was 1
-    assert children.night(whole.later, clean) == (0, "")
+    children.complete_night(whole.later, clean)
     ended, message = children.night(whole.later, home)
     assert ended == 0, message
     for table in ("raw_snapshots", "twin_health", "features_margin"):

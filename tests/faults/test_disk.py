@@ -32,7 +32,7 @@ def test_file_size_limit_loses_nothing(tiny, children, intact, home, limit):
     assert ended is None
     assert message
     intact(home)
-    assert children.night(tiny.landing, home) == (0, "")
+    children.complete_night(tiny.landing, home)
     tiny.check_end(home)
 
 
@@ -46,7 +46,7 @@ def test_night_recovers_from_full_disk(tiny, children, intact, home, fault, end)
     assert ended == end
     assert "No space left on device" in message
     intact(home)
-    assert children.night(tiny.landing, home, steps=3) == (0, "")
+    children.complete_night(tiny.landing, home, steps=3)
     stored = {t: content for t, content in fingerprint(home).items() if t.startswith("raw_")}
     assert stored == {t: tiny.end[t] for t in stored}
 

@@ -43,7 +43,7 @@ def test_kill_at_intake_loses_nothing(tiny, children, intact, home, point):
     steps = steps_up_to("legs")
     assert children.night(tiny.landing, home, fault=f"{point}:{nth}", steps=steps)[0] == signal.SIGKILL
     intact(home)
-    assert children.night(tiny.landing, home, steps=steps) == (0, "")
+    children.complete_night(tiny.landing, home, steps=steps)
     stored = fingerprint(home)
     delivered = [t for t in stored if t.startswith(("raw_", "legs_samples", "legs_verdicts"))]
     assert {t: stored[t] for t in delivered} == {t: tiny.end[t] for t in delivered}
@@ -71,7 +71,7 @@ def test_kill_at_any_moment_loses_nothing(tiny, children, intact, tmp_path):
 
 def test_killed_run_is_marked_failed(tiny, children, home):
     assert children.night(tiny.landing, home, fault="before_mark:2")[0] == signal.SIGKILL
-    assert children.night(tiny.landing, home) == (0, "")
+    children.complete_night(tiny.landing, home)
     with open_instance(home) as instance:
         ended = [r.status for r in instance.get_runs()]
     assert ended.count(dg.DagsterRunStatus.FAILURE) == 1
@@ -83,12 +83,12 @@ def test_stopped_night_loses_nothing(tiny, children, intact, home):
     ended, _ = children.night(tiny.landing, home, fault="before_rename:14:term")
     assert ended != 0
     intact(home)
-    assert children.night(tiny.landing, home) == (0, "")
+    children.complete_night(tiny.landing, home)
     assert state(home) == tiny.end
 
 
 def test_readers_meet_whole_catalogs_only(tiny, children, home):
-    assert children.night(tiny.landing, home, steps=steps_up_to("legs")) == (0, "")
+    children.complete_night(tiny.landing, home, steps=steps_up_to("legs"))
     over = threading.Event()
     answers = []
 
@@ -103,7 +103,7 @@ def test_readers_meet_whole_catalogs_only(tiny, children, home):
     reader = threading.Thread(target=read)
     reader.start()
     try:
-        assert children.night(tiny.landing, home, publish=15) == (0, "")
+        children.complete_night(tiny.landing, home, publish=15)
     finally:
         over.set()
         reader.join()

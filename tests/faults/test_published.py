@@ -26,10 +26,10 @@ def two(children, tmp_path_factory) -> Path:
     drop_fleet(landing, [ZONE])
     ZONE.drop_papers(landing)
     ZONE.only(ZONE.flights[:3]).drop_csv(landing)
-    assert children.night(landing, home) == (0, "")
+    children.complete_night(landing, home)
     shutil.copytree(home, root / "earlier")
     ZONE.drop_csv(landing)
-    assert children.night(landing, home) == (0, "")
+    children.complete_night(landing, home)
     return root
 
 
@@ -43,7 +43,7 @@ def third(two, children, tmp_path_factory) -> Path:
     """The same after a third night, over a flight that came again. Read only."""
     root = Path(shutil.copytree(two, tmp_path_factory.mktemp("third") / "root", copy_function=shutil.copy2))
     redeliver(root / "landing")
-    assert children.night(root / "landing", root / "home") == (0, "")
+    children.complete_night(root / "landing", root / "home")
     return root
 
 
@@ -54,10 +54,10 @@ def doctor_code(home: Path) -> int:
 def test_stopped_publication_is_completed(own, third, children):
     """The night is killed when all its tables are stored."""
     home = own / "home"
-    assert children.night(own / "landing", home) == (0, "")  # the catalog is of this place now
+    children.complete_night(own / "landing", home)  # the catalog is of this place now
     assert children.night(third / "landing", home, fault="before_publish:1")[0] == signal.SIGKILL
     assert doctor_code(home) == 1
-    assert children.night(third / "landing", home) == (0, "")
+    children.complete_night(third / "landing", home)
     assert answers(home) == answers(third / "home")
 
 
@@ -73,14 +73,14 @@ def test_earlier_catalog_is_replaced(own, two, children, names):
     for name in names:
         shutil.copyfile(own / "earlier" / name, own / "home" / name)
     assert doctor_code(own / "home") == 1
-    assert children.night(own / "landing", own / "home") == (0, "")
+    children.complete_night(own / "landing", own / "home")
     assert state(own / "home") == state(two / "home")
 
 
 def test_idle_night_publishes_nothing(own, children):
-    assert children.night(own / "landing", own / "home") == (0, "")  # the catalog is of this place now
+    children.complete_night(own / "landing", own / "home")  # the catalog is of this place now
     before = (own / "home" / CATALOG).stat().st_ino
-    assert children.night(own / "landing", own / "home") == (0, "")
+    children.complete_night(own / "landing", own / "home")
     assert (own / "home" / CATALOG).stat().st_ino == before
 
 

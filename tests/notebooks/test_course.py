@@ -1,10 +1,9 @@
 """The course: each lesson runs over the sample, and says something."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
-from marimo_check import marimo_faults
+from marimo_notebooks import load_notebook, marimo_faults
 
 COURSE = Path(__file__).parents[2] / "notebooks/course"
 LESSONS = {
@@ -21,10 +20,7 @@ LESSONS = {
 @pytest.mark.parametrize("lesson", LESSONS)
 def test_lesson_runs_over_sample(lesson, sample_home, monkeypatch):
     monkeypatch.setenv("HDT_HOME", str(sample_home))
-    spec = importlib.util.spec_from_file_location(f"course_{lesson}", COURSE / f"{lesson}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    _, cells = module.app.run()
+    _, cells = load_notebook(COURSE / f"{lesson}.py").app.run()
     assert LESSONS[lesson](cells)
     if "con" in cells:
         cells["con"].close()

@@ -1,20 +1,16 @@
 """The notebook over the catalog: every cell runs, and what hangs on a choice follows it."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
-from marimo_check import marimo_faults
+from marimo_notebooks import load_notebook, marimo_faults
 
 NOTEBOOK = Path(__file__).parents[2] / "notebooks/fleet.py"
 
 
 @pytest.fixture(scope="module")
-def notebook(sample_home):
-    spec = importlib.util.spec_from_file_location("fleet_notebook", NOTEBOOK)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def notebook():
+    return load_notebook(NOTEBOOK)
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ import polars as pl
 def balances(delivered: pl.DataFrame, rows: pl.DataFrame, duplicates: pl.DataFrame, quarantined: pl.DataFrame) -> bool:
     """Whether each file's rows are loaded, set aside or duplicate: `delivered` counts them as the file is opened."""
     parts = (
-        delivered.group_by("file").agg(pl.col("n_delivered").sum().alias("n")),
-        rows.group_by("file").agg(-pl.len().cast(pl.Int64).alias("n")),
-        quarantined.group_by("file").agg(-pl.col("n_rows").sum().cast(pl.Int64).alias("n")),
-        duplicates.group_by("file").agg(-pl.col("n_duplicate").sum().cast(pl.Int64).alias("n")),
+        (delivered, pl.col("n_delivered").sum(), 1),
+        (rows, pl.len(), -1),
+        (quarantined, pl.col("n_rows").sum(), -1),
+        (duplicates, pl.col("n_duplicate").sum(), -1),
     )
-    left = pl.concat(part.select("file", pl.col("n").cast(pl.Int64)) for part in parts)
+    left = pl.concat(f.group_by("file").agg((sign * count.cast(pl.Int64)).alias("n")) for f, count, sign in parts)
     return left.group_by("file").agg(pl.col("n").sum()).filter(pl.col("n") != 0).is_empty()

@@ -106,9 +106,14 @@ def retyped(change: pl.Expr) -> Spoil:
     return lambda content: parquet(content, lambda frame: frame.with_columns(change))
 
 
+def history_table(content: bytes) -> pa.Table:
+    """The good flight as an Arrow table of history."""
+    return pq.read_table(io.BytesIO(parquet(content)))
+
+
 def annotated(content: bytes) -> bytes:
     """History with a note on one field that is not UTF-8, as a logger abroad writes "°C"."""
-    table = pq.read_table(io.BytesIO(parquet(content)))
+    table = history_table(content)
     at = table.schema.get_field_index("tat_degc")
     noted = table.schema.set(at, table.schema.field(at).with_metadata({b"note": b"\xb0C"}))
     return written(table.cast(noted))
@@ -125,7 +130,7 @@ def timed(unit: str, zone: str | None, counts: list[int | None]) -> Spoil:
     """The good flight as history, times as counts of a unit that need not be of any calendar; None keeps the time."""
 
     def spoil(content: bytes) -> bytes:
-        table = pq.read_table(io.BytesIO(parquet(content)))
+        table = history_table(content)
         at = table.schema.get_field_index("report_time")
         good = table.column(at).cast(pa.timestamp(unit, "UTC"), safe=False).cast(pa.int64()).to_pylist()
         stamps = pa.array([g if c is None else c for g, c in zip(good, counts, strict=True)], pa.int64())
@@ -136,14 +141,14 @@ def timed(unit: str, zone: str | None, counts: list[int | None]) -> Spoil:
 
 def decimals(content: bytes) -> bytes:
     """History with Mach numbers as decimals wider than Polars knows."""
-    table = pq.read_table(io.BytesIO(parquet(content)))
+    table = history_table(content)
     at = table.schema.get_field_index("mach")
     return written(table.set_column(at, "mach", table.column(at).cast(pa.decimal256(50, 3), safe=False)))
 
 
 def flip(content: bytes) -> bytes:
     """History with a byte of its data pages flipped, pages carrying checksums."""
-    table = pq.read_table(io.BytesIO(parquet(content)))
+    table = history_table(content)
     spoiled = bytearray(written(table, write_page_checksum=True, compression="none"))
     spoiled[2000] ^= 0x10
     return bytes(spoiled)

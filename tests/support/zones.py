@@ -39,24 +39,26 @@ class Zone:
         """Where its files lie."""
         return landing / self.operator / self.tail
 
+    def _make_folder(self, landing: Path, kind: str) -> Path:
+        folder = self.folder(landing) / kind
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
     def drop_csv(self, landing: Path) -> None:
         """One text file a flight."""
-        folder = self.folder(landing) / "acms"
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = self._make_folder(landing, "acms")
         for (flight,), rows in self.snapshots.partition_by("flight_id", as_dict=True).items():
             rows.write_csv(folder / f"{flight}.csv", datetime_format=STAMP)
 
     def drop_history(self, landing: Path) -> None:
         """One Parquet file a month."""
-        folder = self.folder(landing) / "acms"
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = self._make_folder(landing, "acms")
         for month, rows in by_month(self.snapshots).items():
             rows.write_parquet(folder / f"history_{month}.parquet")
 
     def drop_logs(self, landing: Path) -> None:
         """The 1 Hz logs."""
-        folder = self.folder(landing) / "cpl"
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = self._make_folder(landing, "cpl")
         for flight, log in self.cpl.items():
             log.write_parquet(folder / f"{flight}.parquet")
 

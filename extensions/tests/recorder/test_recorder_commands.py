@@ -17,6 +17,13 @@ MAP_767 = DATA / "demo_767.toml"
 MAP_XML = DATA / "demo_717.xml"
 
 
+def recorder(*words: object) -> str:
+    """What the command prints where it ends well."""
+    done = hdt("recorder", *words)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.fixture
 def recording(tmp_path):
     raw = random_raw(DEMO_717, np.random.default_rng(1), 48)
@@ -32,10 +39,9 @@ def recording(tmp_path):
 def test_recording_becomes_table(recording, tmp_path):
     path, raw = recording
     target = tmp_path / "flight.parquet"
-    done = hdt("recorder", "decode", path, "--map", MAP_717, "--out", target)
-    assert done.returncode == 0, done.stderr
-    assert "11 parameters" in done.stdout
-    assert "Subframes: 190 whole, 2 damaged, 0 missing" in done.stdout
+    printed = recorder("decode", path, "--map", MAP_717, "--out", target)
+    assert "11 parameters" in printed
+    assert "Subframes: 190 whole, 2 damaged, 0 missing" in printed
     rows = pl.read_parquet(target)
     assert rows.schema == {"parameter": pl.String, "t_s": pl.Float64, "value": pl.Float64, "text": pl.String}
     assert rows["value"].is_finite().all()  # null is null, not NaN
@@ -50,8 +56,7 @@ def test_recording_becomes_table(recording, tmp_path):
 def test_only_named_parameters_are_decoded(recording, tmp_path):
     target = tmp_path / "two.parquet"
     words = ("--parameter", "PITCH", "--parameter", "MODE", "--out", target)
-    done = hdt("recorder", "decode", recording[0], "--map", DATA / "demo_717.csv", *words)
-    assert done.returncode == 0, done.stderr
+    recorder("decode", recording[0], "--map", DATA / "demo_717.csv", *words)
     assert pl.read_parquet(target)["parameter"].unique(maintain_order=True).to_list() == ["PITCH", "MODE"]
 
 
@@ -60,18 +65,15 @@ def test_archive_is_read_by_largest_file(recording, tmp_path):
     with zipfile.ZipFile(archive, "w") as file:
         file.writestr("log.txt", "short")
         file.write(recording[0], "raw.dat")
-    done = hdt("recorder", "list", archive, "--map", MAP_XML)
-    assert done.returncode == 0, done.stderr
-    assert "no value: its conversion is told in words: Teledyne Synchro" in done.stdout
-    assert "ALTITUDE" in done.stdout
+    printed = recorder("list", archive, "--map", MAP_XML)
+    assert "no value: its conversion is told in words: Teledyne Synchro" in printed
+    assert "ALTITUDE" in printed
 
 
 def test_recording_contents_are_listed(tmp_path):
     path = tmp_path / "flight.767"
     path.write_bytes(frames_767(DEMO_767, raw_767(5)))
-    done = hdt("recorder", "list", path, "--map", MAP_767, "--json")
-    assert done.returncode == 0, done.stderr
-    listing = json.loads(done.stdout)
+    listing = json.loads(recorder("list", path, "--map", MAP_767, "--json"))
     assert listing["damage"] | {"unit": "frames", "damaged": 0, "missing": 0} == listing["damage"]
     rates = {p["parameter"]: (p["unit"], p["rate_hz"], p["kind"]) for p in listing["parameters"]}
     assert rates["OUTLET_TEMP"] == ("degC", 1.0, "binary")
@@ -84,10 +86,9 @@ def test_printed_reports_become_table(tmp_path):
     (tmp_path / "message.dat").write_bytes(message_file(text))
     (tmp_path / "own.txt").write_text("<91> PACK SURVEY\nN1|N2 {flow:4} {state:s}\n")
     words = ("--layouts", tmp_path / "own.txt", "--out", tmp_path / "r.parquet")
-    done = hdt("recorder", "reports", tmp_path / "message.dat", *words)
-    assert done.returncode == 0, done.stderr
-    assert "<91> PACK SURVEY: 1 reports, 2 lines" in done.stdout
-    assert "line 6: flow is '1.3', not as wide as its layout has it: N1 1.3 OFF" in done.stdout
+    printed = recorder("reports", tmp_path / "message.dat", *words)
+    assert "<91> PACK SURVEY: 1 reports, 2 lines" in printed
+    assert "line 6: flow is '1.3', not as wide as its layout has it: N1 1.3 OFF" in printed
     rows = pl.read_parquet(tmp_path / "r.parquet")
     assert rows.filter(name="flow")["value"].to_list() == [1.31, None]
     assert rows.filter(name="state")["text"].to_list() == ["OFF", "ON"]

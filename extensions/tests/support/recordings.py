@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hdt_recorder.decoding.coding import Packing
+from hdt_recorder.decoding.coding import PACKINGS, Packing
 from hdt_recorder.decoding.fit import decode, recognise
 from hdt_recorder.decoding.layout import Map717, Map767
 from hdt_recorder.decoding.plain_map import read_toml
@@ -50,7 +50,7 @@ def frames_717(
     return words
 
 
-def pack(words: np.ndarray, packing: Packing, before_bits: int = 0) -> bytes:
+def pack(words: np.ndarray, packing: Packing = PACKINGS[0], before_bits: int = 0) -> bytes:
     """Words one after the other, as a file holds them, after some bits of another recording."""
     if packing.aligned:
         return bytes(before_bits // 8) + words.ravel().astype("<u2" if packing.order == "little" else ">u2").tobytes()

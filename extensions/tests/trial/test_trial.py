@@ -56,6 +56,9 @@ class World:
         self.now = day
         return seal_night(self.home, START + dt.timedelta(days=day, hours=14))
 
+    def verdicts(self, source="hdt"):
+        return [a.verdict for a in self.score_alerts(source).alerts]
+
     def score_alerts(self, source="hdt"):
         log = entries(self.home / "trial")
         declared = declaration_of(log)
@@ -85,7 +88,9 @@ def begin(world, more=""):
     return start(world.home, text + more, START + dt.timedelta(days=9, hours=14))
 
 
-def sealed_through(world, *days):
+def seal_nights(world, *days, more=""):
+    """Begin a trial and seal these nights of it."""
+    begin(world, more)
     for day in days:
         world.night(day)
 
@@ -97,8 +102,7 @@ def test_alerts_are_judged_when_sealed(world):
         "raw_messages": [message(50), message(121)],
         "raw_maintenance": [replaced(52)],
     }
-    begin(world)
-    sealed_through(world, 20, 40, 70, 125, LAST)
+    seal_nights(world, 20, 40, 70, 125, LAST)
     verdicts = {a.alert.known_at.date(): (a.verdict, a.lead_flights) for a in world.score_alerts().alerts}
     day = {n: (START + dt.timedelta(days=n)).date() for n in (20, 70, 125)}
     assert verdicts == {day[20]: ("hit", 30), day[125]: ("after_event", None), day[70]: ("false_alarm", None)}
@@ -110,9 +114,8 @@ def test_alerts_are_judged_when_sealed(world):
 )
 def test_removal_is_judged_by_finding(world, finding, verdict):
     world.tables |= {"features_alerts": [alert("one", 20)], "raw_maintenance": [replaced(50, finding)]}
-    begin(world)
-    sealed_through(world, 20, 80)
-    assert [a.verdict for a in world.score_alerts().alerts] == [verdict]
+    seal_nights(world, 20, 80)
+    assert world.verdicts() == [verdict]
 
 
 def test_work_showing_loss_answers(world):
@@ -124,9 +127,8 @@ def test_work_showing_loss_answers(world):
         "raw_maintenance": [wash],
         "features_work": [wash | verdict | times],
     }
-    begin(world)
-    sealed_through(world, 20, 80)
-    assert [a.verdict for a in world.score_alerts().alerts] == ["answered"]
+    seal_nights(world, 20, 80)
+    assert world.verdicts() == ["answered"]
 
 
 def test_withdrawn_alert_still_counts(world):
@@ -137,7 +139,7 @@ def test_withdrawn_alert_still_counts(world):
     del world.tables["features_alerts"][0]
     entry = world.night(91)
     assert entry.body["withdrawn"]["hdt"] == ["gone"]
-    assert [a.verdict for a in world.score_alerts().alerts] == ["false_alarm", "open"]
+    assert world.verdicts() == ["false_alarm", "open"]
 
 
 def test_outcomes_of_file_are_judged(world, tmp_path):
@@ -174,11 +176,11 @@ def test_operator_rules_are_judged_alike(world, tmp_path):
     file.write_text(f"operator,tail,pack,component,raised_at\nAAA,T-1,1,HX,{START + dt.timedelta(days=45)}\n")
     sql = "select operator, tail, 1 as pack, 'HX' as component, max(departed_at) as raised_at from flights group by all"
     world.tables |= {"features_alerts": [alert("one", 20)], "raw_messages": [message(50)]}
-    begin(world, f'[rule.trend]\nsql = "{sql}"\n[rule.maker]\nfile = "{file}"\n')
-    sealed_through(world, 20, 45, 130)
+    rules = f'[rule.trend]\nsql = "{sql}"\n[rule.maker]\nfile = "{file}"\n'
+    seal_nights(world, 20, 45, 130, more=rules)
     result = evaluation.evaluate(world.home)
     assert set(result.figures) == {"hdt", "trend", "maker"}
-    assert [a.verdict for a in world.score_alerts("trend").alerts] == ["hit", "hit", "too_late", "after_event"]
+    assert world.verdicts("trend") == ["hit", "hit", "too_late", "after_event"]
     assert "[rule.maker]" in result.text
     assert str(file) not in result.text
     assert "max(departed_at)" not in result.text

@@ -27,6 +27,11 @@ def arranged(data: bytes) -> Recording717:
     return arrange(raw, find_packing(raw, 64) or PACKINGS[0], DEMO_717)
 
 
+def series_of(words: np.ndarray) -> dict:
+    """Series of every parameter by name."""
+    return {s.parameter.name: s for s in decode(arranged(pack(words)), DEMO_717.parameters.values())}
+
+
 def assert_true(arrangement: Recording717, words: np.ndarray) -> None:
     """Every whole subframe holds, word for word, what the frame with its count holds."""
     for i in np.flatnonzero(arrangement.whole.any(axis=0)):
@@ -84,7 +89,7 @@ def test_damaged_717_file_invents_nothing(packing):
 def test_flipped_sync_word_costs_both_sides():
     words = recording(0)
     words[10, SYNCS[2]] ^= 4
-    arrangement = arranged(pack(words, PACKINGS[0]))
+    arrangement = arranged(pack(words))
     assert np.argwhere(~arrangement.whole).tolist() == [[1, 10], [2, 10]]
     assert arrangement.damage.damaged == 2
     (series,) = decode(arrangement, [DEMO_717.parameters["PACK_TEMP"]])
@@ -101,14 +106,14 @@ def test_lost_word_costs_its_subframe():
 def test_standing_still_costs_no_row():
     words = recording(3)
     words[20:, COUNTER] += 1000
-    arrangement = arranged(pack(words, PACKINGS[0]))
+    arrangement = arranged(pack(words))
     assert len(arrangement.t_s) == 40
     assert arrangement.t_s[20] - arrangement.t_s[19] == 4004.0
 
 
 def test_missing_frames_are_null():
     words = recording(1)
-    arrangement = arranged(pack(np.delete(words, np.s_[12:17], axis=0), PACKINGS[0]))
+    arrangement = arranged(pack(np.delete(words, np.s_[12:17], axis=0)))
     assert arrangement.damage.missing == 20
     np.testing.assert_allclose(arrangement.t_s, 4.0 * np.arange(40))
     # the subframes between the two counters may be spliced
@@ -121,10 +126,9 @@ def test_missing_frames_are_null():
 def test_incomplete_superframe_has_no_value():
     words = recording(4, frames=64)
     begins = 12  # 100 + 12 is a multiple of 16
-    whole = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
-    assert whole["CITY"].valid.all()
+    assert series_of(words)["CITY"].valid.all()
     words[begins + 1, SYNCS[2]] ^= 1  # CITY has a letter in subframe 3 of each of its first four frames
-    damaged = {s.parameter.name: s for s in decode(arranged(pack(words, PACKINGS[0])), DEMO_717.parameters.values())}
+    damaged = series_of(words)
     assert damaged["CITY"].valid.tolist() == [False, True, True, True]
     assert damaged["WEIGHT"].valid.tolist() == [True] * 6 + [False] * 2  # the last superframe was cut short
 

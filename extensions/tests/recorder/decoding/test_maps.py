@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from recordings import DATA, DEMO_717, DEMO_767, frames_717, frames_767, pack, random_raw, raw_767, read, vec
 
-from hdt_recorder.decoding.coding import PACKINGS, LookupTable, Polynomial, Segments
+from hdt_recorder.decoding.coding import LookupTable, Polynomial, Segments
 from hdt_recorder.decoding.layout import MapError
 from hdt_recorder.decoding.plain_map import read_csv, read_toml
 from hdt_recorder.decoding.vec_map import read_vec
@@ -65,7 +65,7 @@ def archive(data: bytes) -> dict[str, bytes]:
 
 VEC = read_vec(archive(vec(par=PAR, fra=FRA)))
 RAW = random_raw(DEMO_717, np.random.default_rng(11), 64)
-RECORDING = pack(frames_717(DEMO_717, RAW, first_count=0), PACKINGS[0])
+RECORDING = pack(frames_717(DEMO_717, RAW, first_count=0))
 
 
 def texts(series) -> list:

@@ -61,7 +61,7 @@ def test_every_717_value_comes_back(packing, before_bits):
 
 def test_times_follow_places_in_frame():
     raw = random_raw(DEMO_717, np.random.default_rng(0), 32)
-    series = read(pack(frames_717(DEMO_717, raw, first_count=0), PACKINGS[0]))
+    series = read(pack(frames_717(DEMO_717, raw, first_count=0)))
     np.testing.assert_allclose(series["PACK_TEMP"].t_s, np.arange(128) + 4 / 64)
     np.testing.assert_allclose(series["PITCH"].t_s, np.arange(512) / 4 + 5 / 64)
     np.testing.assert_allclose(series["WEIGHT"].t_s, [18.1875, 50.1875, 82.1875, 114.1875])  # frames 5 and 13, word 13
@@ -120,7 +120,7 @@ def test_bits_without_value_are_null(name, raw):
     """A digit of ten, second or minute 60, hour 24, not a number."""
     samples = random_raw(DEMO_717, np.random.default_rng(1), 32)
     samples[name][5] = raw
-    series = read(pack(frames_717(DEMO_717, samples, first_count=0), PACKINGS[0]))
+    series = read(pack(frames_717(DEMO_717, samples, first_count=0)))
     assert np.flatnonzero(~series[name].valid).tolist() == [5]
 
 
@@ -128,7 +128,7 @@ def written_717() -> np.ndarray:
     raw = random_raw(DEMO_717, np.random.default_rng(2), 32)
     for name in ("ALTITUDE", "PACK_TEMP"):
         raw[name] %= 400  # within their operational range
-    return np.frombuffer(pack(frames_717(DEMO_717, raw), PACKINGS[0]), np.uint8)
+    return np.frombuffer(pack(frames_717(DEMO_717, raw)), np.uint8)
 
 
 def uncounted(words: int, packing) -> np.ndarray:
