@@ -255,7 +255,7 @@ def test_foreign_files_are_not_overwritten(home, tmp_path, target):
 
 
 @pytest.mark.parametrize("place", [".", "x", "tables/export", "../{name}/x"])
-def test_export_stays_out_of_home(home, tmp_path, place):
+def test_export_stays_out_of_home(home, place):
     folder = home / place.format(name=home.name)
     with pytest.raises(ValueError, match="lies in the home"):
         export(home, folder, EVERYTHING, "csv", ["flights"])

@@ -110,6 +110,26 @@ def test_season_has_chance_with_margin():
     assert rows(fleet(features=margins), query) == [(pytest.approx(0.15), 15.0, 3.0)]
 
 
+NEVER = dt.datetime.max.replace(tzinfo=START.tzinfo)
+
+
+def days_between(start: dt.datetime, end: dt.datetime) -> float:
+    return (end - start).total_seconds() / 86400
+
+
+def lead(raised: tuple, work: dt.datetime | None, event: dt.datetime | None, departures: list[dt.datetime]) -> tuple:
+    """Flights and days from an alert to the work and to the message; null where there is none, or no alert."""
+    at, name = raised
+    after = [d for d in departures if at and d > at]
+    return (
+        work, name,
+        sum(d < work for d in after) if work and at else None,
+        days_between(at, work) if work and at else None,
+        sum(d <= event for d in after) if event and at and event >= at else None,
+        days_between(at, event) if event and at else None,
+    )  # fmt: skip
+
+
 def test_sample_leads_equal_python_count(sample_home):
     with duckdb.connect(str(sample_home / CATALOG), read_only=True) as con:
         con.execute("set TimeZone = 'Pacific/Kiritimati'")
@@ -123,27 +143,17 @@ def test_sample_leads_equal_python_count(sample_home):
             flights[operator, tail].append(at)
         columns = "work_at, alert_id, flights_to_work, days_to_work, flights_to_message, days_to_message"
         answer = {r[:5]: r[5:] for r in rows(con, f"select {own}, spell, {columns} from removal_leads")}
-    never = dt.datetime.max.replace(tzinfo=START.tzinfo)
     first = dt.datetime.min.replace(tzinfo=START.tzinfo)
-    units = {w[:4] for w in works} | {a[:4] for a in alerts}
     again = {}
-    for unit in units:
-        ends = [*sorted({w[4] for w in works if w[:4] == unit and w[5] in ("REPLACED", "CLEANED")}), never]
+    for unit in {row[:4] for row in (*works, *alerts)}:
+        events = [m[4] for m in messages if (*m[:3], codes.get(m[3])) == unit]
+        ends = [*sorted({w[4] for w in works if w[:4] == unit and w[5] in ("REPLACED", "CLEANED")}), NEVER]
         for spell, (since, until) in enumerate(zip([first, *ends], ends, strict=False)):
             raised = min((a[4:] for a in alerts if a[:4] == unit and since <= a[4] < until), default=(None, None))
-            event = min((m[4] for m in messages if (*m[:3], codes.get(m[3])) == unit and since <= m[4] < until),
-                        default=None)  # fmt: skip
-            if (until, *raised, event) == (never, None, None, None):
-                continue
-            departures = [d for d in flights[unit[:2]] if raised[0] and d > raised[0]]
-            work = None if until == never else until
-            again[*unit, spell] = (
-                work, raised[1],
-                sum(d < work for d in departures) if work and raised[0] else None,
-                (work - raised[0]).total_seconds() / 86400 if work and raised[0] else None,
-                sum(d <= event for d in departures) if event and raised[0] and event >= raised[0] else None,
-                (event - raised[0]).total_seconds() / 86400 if event and raised[0] else None,
-            )  # fmt: skip
+            event = min((at for at in events if since <= at < until), default=None)
+            if (until, *raised, event) != (NEVER, None, None, None):
+                work = None if until == NEVER else until
+                again[*unit, spell] = lead(raised, work, event, flights[unit[:2]])
     assert len(answer) >= 8
     assert answer.keys() == again.keys()
     assert OWN["operator"] not in {key[0] for key in answer}

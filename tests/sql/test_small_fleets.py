@@ -19,6 +19,11 @@ def flights(n: int) -> list[dict]:
     return [flight(k) for k in range(n)]
 
 
+def recovery(before: float, after: float, at: int = 50) -> list[dict]:
+    """Health of a pack whose loss falls from one flight to the next."""
+    return [fouling(k, before if k < at else after) for k in range(80)]
+
+
 def test_lead_counts_from_units_first_alert():
     con = catalog(
         raw_flights=flights(60),
@@ -100,15 +105,13 @@ def test_precision_has_both_measures():
 
 
 def test_unlogged_recovery_answers_alert():
-    flown = [fouling(n, 0.2 if n < 50 else 0.01) for n in range(80)]
-    con = catalog(twin_health=flown, features_alerts=[ended("a", 40, 65, "recovered")])
+    con = catalog(twin_health=recovery(0.2, 0.01), features_alerts=[ended("a", 40, 65, "recovered")])
     assert rows(con, "select outcome from alert_outcomes") == [("answered",)]
 
 
 def test_doubtful_sensor_explains_recovery():
-    flown = [fouling(n, 0.2 if n < 50 else 0.01) for n in range(80)]
     alerts = [ended("a", 40, 65, "recovered"), ended("s", 45, 55, "recovered", component="SENSOR")]
-    con = catalog(twin_health=flown, features_alerts=alerts)
+    con = catalog(twin_health=recovery(0.2, 0.01), features_alerts=alerts)
     assert rows(con, "select outcome from alert_outcomes order by 1") == [("not_yet_known",), ("recovered",)]
 
 
@@ -145,7 +148,7 @@ def test_views_number_units_as_core(hour, unit):
 
 
 def test_work_is_compared_with_before():
-    con = catalog(twin_health=[fouling(n, 0.4 if n < 50 else 0.01) for n in range(80)], raw_maintenance=[replaced(52)])
+    con = catalog(twin_health=recovery(0.4, 0.01), raw_maintenance=[replaced(52)])
     assert rows(con, "select before_work, after_work, round(moved_by, 9) from before_and_after") == [(0.4, 0.01, -0.39)]
 
 
@@ -179,20 +182,19 @@ def test_some_statuses_are_not_observed():
     ],
 )
 def test_unlogged_recovery_is_listed_once(after, sd, log, n):
-    flown = [fouling(k, 0.2 if k < 50 else after) | {"sd": sd} for k in range(90)]
-    con = catalog(twin_health=flown, raw_maintenance=log)
-    expected = [("T-1", 1, "HX", flown[50]["flight_id"], 0.2, after)] * n
+    con = catalog(twin_health=[f | {"sd": sd} for f in recovery(0.2, after)], raw_maintenance=log)
+    expected = [("T-1", 1, "HX", flight(50)["flight_id"], 0.2, after)] * n
     assert rows(con, "select tail, pack, component, flight_id, loss_before, loss from unlogged_work") == expected
 
 
 def test_sensor_health_counts_lost_values():
-    def sample(k: int, value: float | None, table: str) -> dict:
+    def sample(k: int, value: float | None) -> dict:
         rest = {"source": "acms", "phase": "cruise", "nominal": True, "monitored": True, "n_averaged": 1, "file": "f"}
         at = {"time_utc": START + dt.timedelta(minutes=k), "hx_out_k": value}
         return OWN | {"flight_id": flight(0)["flight_id"]} | rest | at
 
-    recorded = [sample(k, None if k < 2 else 300.0, "raw") for k in range(10)]
-    left = [sample(k, None if k < 4 else 300.0, "legs") for k in range(10)]
+    recorded = [sample(k, None if k < 2 else 300.0) for k in range(10)]
+    left = [sample(k, None if k < 4 else 300.0) for k in range(10)]
     con = catalog(raw_snapshots=recorded, legs_samples=left)
     shares = rows(con, "select recorded_share, believed_share from sensor_health where signal = 'hx_out_k'")
     assert shares == [(0.8, 0.75)]
@@ -316,8 +318,7 @@ def test_unlogged_swap_is_no_gain():
 @pytest.mark.parametrize("log", [[replaced(58)], []])
 def test_comparison_ends_at_other_work(log):
     """Flight 56 has another unit, by the log later or not at all."""
-    flown = [fouling(n, 0.4 if n < 56 else 0.01) for n in range(80)]
-    con = catalog(twin_health=flown, raw_maintenance=[inspected(49), *log])
+    con = catalog(twin_health=recovery(0.4, 0.01, at=56), raw_maintenance=[inspected(49), *log])
     assert rows(con, "select after_work from before_and_after where reference = 'WO49'") == [(0.4,)]
 
 
