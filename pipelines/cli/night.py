@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import polars as pl
 import typer
-from rich.padding import Padding
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from pipelines.cli.base import (
@@ -289,7 +288,7 @@ def print_ranking(home: Path) -> None:
 
 def _print_rows(title: str, units: list["UnitRow"]) -> None:
     """Print two lines a unit: its values in columns, then what to do, why, and its message."""
-    from pipelines.report.words import urgency
+    from pipelines.report.words import urgency, wrap
     from pipelines.words import _, several
 
     lines = [(_("unit"), _("urgency"), _("lost"), _("flights left (90 %)"))]
@@ -304,7 +303,7 @@ def _print_rows(title: str, units: list["UnitRow"]) -> None:
     for unit, row in zip(units, rows, strict=False):
         why = "; ".join(filter(None, (unit.to_do(), unit.diagnosis(), unit.message_phrase(), *unit.notes())))
         out.print(row)
-        out.print(Padding(why, (0, 0, 0, 4), expand=False), soft_wrap=False)
+        out.print(wrap(why, out.width, indent=4))
     out.print()
     if (n := len(units) - MAX_ROWS) > 0:
         out.print(several("{n} more in the report.", "{n} more in the report.", n))

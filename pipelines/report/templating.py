@@ -11,8 +11,8 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, se
 from markupsafe import Markup, escape
 
 from pipelines.report import words
-from pipelines.report.units import estimate, quantity, threshold, unbroken, written
-from pipelines.report.words import visible
+from pipelines.report.units import estimate, quantity, threshold, written
+from pipelines.report.words import unbroken, visible
 from pipelines.words import _, format_count, language, several
 from pipelines.words.evidence import Style, action_text, evidence_text
 

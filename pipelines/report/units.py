@@ -6,7 +6,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from hdt_core.robust import Z_90
-from pipelines.report.words import THRESHOLDS, figures, percent, visible
+from pipelines.report.words import THRESHOLDS, figures, percent, unbroken, visible
 from pipelines.words import _, in_figures, number
 
 SYSTEMS = ("si", "us")
@@ -81,11 +81,6 @@ def written(figures: str, unit: str) -> Markup:
     """Write stored figures with their unit in both systems; a temperature in K is a difference."""
     si = unbroken(f"{in_figures(figures)} {unit}".rstrip())
     return both(si, _us_text(figures, figures.partition(".")[2], unit) if unit in _US else si)
-
-
-def unbroken(text: str) -> str:
-    """Keep numbers and their percent signs on one line."""
-    return text.replace(" %", "\N{NO-BREAK SPACE}%")
 
 
 def in_words(text: str) -> Markup:

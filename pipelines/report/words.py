@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from datetime import timedelta
+from textwrap import fill
 from typing import Any
 
 from hdt_core.alerts.diagnoses import DIAGNOSES
@@ -307,3 +308,15 @@ def figures(value: float | None, digits: int = 4) -> str:
 def visible(text: str) -> str:
     """Replace hidden characters by a visible one."""
     return _HIDDEN.sub("\ufffd", text)
+
+
+def unbroken(text: str) -> str:
+    """Keep numbers and their percent signs on one line."""
+    return text.replace(" %", "\N{NO-BREAK SPACE}%")
+
+
+def wrap(text: str, width: int, indent: int) -> str:
+    """Break a text into indented lines, none of them before a percent sign."""
+    margin = " " * indent
+    lines = fill(unbroken(text), width, initial_indent=margin, subsequent_indent=margin, break_on_hyphens=False)
+    return lines.replace(unbroken(" %"), " %")

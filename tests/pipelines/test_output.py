@@ -14,6 +14,7 @@ from nights import empty_home
 
 from pipelines.cli import main
 from pipelines.cli.night import print_ranking
+from pipelines.report.words import wrap
 from pipelines.storage.publication import publish
 
 
@@ -57,6 +58,14 @@ def test_text_is_escaped_in_ascii(tmp_path):
     text = text_on_terminal("query", "--home", str(tmp_path), "select 'é 😀' as name", encoding="ascii")
 
     assert r"| \u00e9 \ud83d\ude00" in text
+
+
+@pytest.mark.parametrize("width", range(16, 24))
+def test_no_line_begins_with_percent(width):
+    lines = wrap("message 27 % by 2024-07-15", width, indent=4).splitlines()
+
+    assert any("27 %" in line for line in lines)
+    assert {line[:4] for line in lines} == {"    "}
 
 
 def test_home_without_packs_prints_ranking(tmp_path, capsys):
