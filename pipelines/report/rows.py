@@ -7,11 +7,13 @@ from typing import Any
 
 import duckdb
 
+from hdt_core.components import components
 from pipelines.report import words
 from pipelines.report.tasks import Task, Tasks, action_of, describe_action, read_tasks, tasks_of
 from pipelines.storage.catalog import fetch_dicts, nights_of
 from pipelines.storage.publication import connect_current
 from pipelines.words import _, number
+from pipelines.words.evidence import stored_action
 
 Row = dict[str, Any]
 _ROWS = "select * from unit_rows order by component is not null, place"
@@ -198,4 +200,5 @@ def subject_of(row: Row) -> Row:
             "component": row["alert_component"]
         }
     part = row["outlook_component"] or row["component"] or "HX"
-    return {"diagnosis": part, "component": part, "action_phrases": "", "units_in_90_days": None}
+    phrases = stored_action(components()[part].action) if part in words.DECLARED else ""
+    return {"diagnosis": part, "component": part, "action_phrases": phrases, "units_in_90_days": None}

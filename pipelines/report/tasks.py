@@ -9,8 +9,8 @@ from typing import Any
 from hdt_core.alerts.alerts import REPEAT_UNITS
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.components import components
-from hdt_core.components.declaration import REPLACED
 from hdt_core.loading import parse_toml
+from pipelines.report import words
 from pipelines.storage.objects import StoreError
 from pipelines.storage.settings import read_values
 from pipelines.words import _, several
@@ -63,7 +63,7 @@ Tasks = Mapping[tuple[str, str], Task]
 
 
 def read_tasks(home: Path) -> Tasks:
-    """Read the work of each action: the home's `tasks.toml` over this project's, and that of declared components.
+    """Read the work of each action: the home's `tasks.toml` over this project's.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def read_tasks(home: Path) -> Tasks:
         The file can't be read, is no TOML, or holds an unknown key or an invalid value.
     """
     shipped = parse_toml((resources.files("pipelines.report") / NAME).read_text(encoding="utf-8"))
-    tasks = _declared_tasks() | dict(_merged({}, shipped, NAME))
+    tasks = dict(_merged({}, shipped, NAME))
     names = sorted({*components(), *DIAGNOSES, *(d.component for d in DIAGNOSES.values())})
     return tasks | dict(_merged(tasks, read_values(home / NAME, names), home / NAME))
 
@@ -85,13 +85,19 @@ def tasks_of(tasks: Tasks, alert: Mapping[str, Any]) -> dict[str, Task]:
 def action_of(alert: Mapping[str, Any], tasks: Mapping[str, Task]) -> str:
     """Return the one action of an alert: its `choice` of least expected cost where wear alone is the cause, else look.
 
-    Where no cost is known it is the first action that `tasks` has, a wash before a replacement.
+    Where no cost is known it is the first action that `tasks` has, a wash before a replacement. Of a declared component
+    those that `tasks` lacks do not count: to look is to do what its declaration says.
     """
     is_wear = alert["diagnosis"] in WASHABLE or alert["diagnosis"] not in DIAGNOSES
     if not is_wear or (alert["units_in_90_days"] or 0) >= REPEAT_UNITS:
         return "inspect"
     first = next((a for a in ("wash", "replace") if a in tasks), "inspect")
-    return alert["choice"] if alert.get("choice") in ACTIONS else first
+    return alert["choice"] if alert.get("choice") in choices_of(alert["component"], tasks) else first
+
+
+def choices_of(component: str, tasks: Mapping[str, Task]) -> set[str]:
+    """Return the actions that may be chosen: of a declared component those with work, and to defer."""
+    return {*tasks, "defer"} if component in words.DECLARED else set(ACTIONS)
 
 
 def describe_action(action: str, alert: Mapping[str, Any], until: str = "") -> str:
@@ -117,13 +123,6 @@ def work_text(tasks: Tasks, alert: Mapping[str, Any]) -> str:
     text = own[action].text() if action in own else ""
     name = describe_action(action, alert)
     return f"{name}: {text}" if text else name
-
-
-def _declared_tasks() -> dict[tuple[str, str], Task]:
-    """Return the work of declared components: the text of their recommended action."""
-    return {
-        (c.code, "replace" if REPLACED in c.ended_by else "wash"): Task(task=c.action) for c in components().values()
-    }
 
 
 def _merged(tasks: Tasks, own: Mapping[str, Any], file: Any) -> Iterator[tuple[tuple[str, str], Task]]:

@@ -10,7 +10,7 @@ from hdt_core.components import components
 from pipelines.report import words
 from pipelines.report.facts import Facts
 from pipelines.report.rows import UnitRow, silence_lines
-from pipelines.report.tasks import ACTIONS, Task, action_of, tasks_of
+from pipelines.report.tasks import ACTIONS, Task, action_of, choices_of, tasks_of
 from pipelines.report.tracks import card_id, drawing, fleet_band, tracks
 from pipelines.words import _, format_count, number, several
 
@@ -183,6 +183,7 @@ def answers(facts: Facts, alert: Row) -> Row:
     due = next(facts["due"].filter(**unit).iter_rows(named=True), None)
     stops = {s["choice"]: s for s in facts["stops"].filter(**unit).to_dicts()}
     tasks = tasks_of(facts.tasks, alert)
+    known = choices_of(alert["component"], tasks)
     best = next((s["choice"] for s in stops.values() if s["place"] == 1), None)
     first = action_of(alert | {"choice": best}, tasks)
     order = sorted(ACTIONS, key=lambda a: (a != first, stops.get(a, {}).get("place") or len(ACTIONS)))
@@ -190,7 +191,7 @@ def answers(facts: Facts, alert: Row) -> Row:
         "case": _case_lines(case) if case else [],
         "sentences": [*_recurrence(alert), *(_due_lines(due) if due and alert["now_came_at"] is None else ())],
         "until": next(map(_until, stops.values()), ""),
-        "choices": [_choice(a, tasks.get(a), stops) for a in order if a in stops or a in tasks],
+        "choices": [_choice(a, tasks.get(a), stops) for a in order if a in (stops.keys() | tasks) & known],
     }
 
 

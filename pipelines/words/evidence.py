@@ -8,7 +8,7 @@ from typing import Any
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.alerts.evidence import ELSE, ROLES, capitalised
 from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
-from hdt_core.alerts.text import Column
+from hdt_core.alerts.text import Column, Text, TextList, to_json
 from hdt_core.components import components
 from pipelines.words import _, catalog_of, in_figures, language
 
@@ -33,6 +33,11 @@ def phrases() -> list[str]:
     names = [text for d in DIAGNOSES.values() for text in (d.name, d.action)]
     labels = [f"{label}:" for label in (*ROLES, ELSE)]
     return list(dict.fromkeys([*PHRASES, *SIGNALS.values(), *CHECKS.values(), *names, *texts, *labels]))
+
+
+def stored_action(text: str) -> str:
+    """Return a declared action as `action_phrases` has it."""
+    return to_json(TextList([Text.whole(text)]))
 
 
 def action_text(stored: str, style: Style = PLAIN) -> str:

@@ -1,16 +1,13 @@
 """The columns of an alert's texts, made by hand."""
 
 from hdt_core.alerts.evidence import Corroboration, Evidence
-from hdt_core.alerts.text import Text, TextList, to_json
+from hdt_core.alerts.text import Text
+from pipelines.words.evidence import stored_action
 
 
 def evidence_of(finding: str, *corroborations: tuple[str, str]) -> Evidence:
     """Evidence of one finding, each corroboration with its role."""
     return Evidence((Text.whole(finding),), tuple(Corroboration(*c) for c in corroborations), "else", "Waiting costs")
-
-
-def stored_action(action: str) -> str:
-    return to_json(TextList([Text.whole(action)]))
 
 
 def text_columns(at_first: Evidence, now: Evidence, action: str) -> dict[str, str]:

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from alert_texts import stored_action
 
 from hdt_core.alerts.alerts import VALUES
 from hdt_core.alerts.diagnoses import DIAGNOSES
@@ -13,11 +12,12 @@ from hdt_core.components import components
 from pipelines.report import words
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import thresholds
-from pipelines.report.rows import UnitRow
+from pipelines.report.rows import UnitRow, subject_of
 from pipelines.report.tasks import ACTIONS, Task, action_of, read_tasks, tasks_of, work_text
 from pipelines.report.tonight import tonight
 from pipelines.storage.catalog import connect
 from pipelines.storage.objects import StoreError
+from pipelines.words.evidence import stored_action
 
 
 @pytest.fixture(scope="module")
@@ -116,11 +116,23 @@ def test_each_diagnosis_has_its_work(tmp_path, d):
     assert all((work.minutes, work.people, work.tools, work.part, work.zone, work.task))
 
 
-def test_declared_component_has_declared_work(tmp_path):
-    cac = components()["CAC"]
-    texts = {"units_in_90_days": None, "action_phrases": stored_action(cac.action)}
-    alert = {"diagnosis": cac.diagnosis, "component": "CAC", "choice": None} | texts
-    assert work_text(read_tasks(tmp_path), alert) == f"Replace: {cac.action}"
+CAC = components()["CAC"]
+WORN = {"diagnosis": CAC.diagnosis, "component": "CAC", "units_in_90_days": None, "action_phrases": stored_action(CAC.action)}
+
+
+@pytest.mark.parametrize("choice", [None, "wash", "replace"])
+def test_declared_component_has_its_action_alone(tmp_path, choice):
+    assert work_text(read_tasks(tmp_path), WORN | {"choice": choice}) == CAC.action.partition(" (")[0]
+
+
+def test_home_has_work_of_declared_component(tmp_path):
+    (tmp_path / "tasks.toml").write_text("[CAC.replace]\nminutes = 95\n")
+    assert work_text(read_tasks(tmp_path), WORN | {"choice": "replace"}) == "Replace: 95 min"
+
+
+def test_declared_component_needs_no_alert():
+    row = {"alert_id": None, "outlook_component": "CAC", "component": "CAC"}
+    assert subject_of(row)["action_phrases"] == stored_action(CAC.action)
 
 
 @pytest.mark.parametrize(
