@@ -12,7 +12,7 @@ import polars as pl
 from polars.exceptions import PanicException
 
 from hdt_core.tables.raw import RawQuarantine
-from pipelines.words import _, several
+from pipelines.words import _, format_count, several
 
 if TYPE_CHECKING:
     import duckdb
@@ -104,9 +104,12 @@ select file, reason, sum(n_rows)::bigint as n_rows from quarantine
 where n_rows > 0 group by file, reason order by n_rows desc, file, reason
 """
 _REFUSED_LOGS = """
-select d.file, d.quarantined, d.delivered, q.reason from deliveries as d
+with refused as (
+    select file, reason, sum(n_rows)::bigint as n from quarantine where scope in ('file', 'row') group by file, reason
+)
+select d.file, d.quarantined, d.delivered, q.reasons from deliveries as d
 inner join (
-    select file, mode(reason) as reason from quarantine where scope in ('file', 'row') group by file
+    select file, list((reason, n) order by n desc, reason) as reasons from refused group by file
 ) as q on d.file = q.file
 where regexp_matches(d.file, '(^|/)(messages|maintenance|fleet)[.]csv$') and 2 * d.quarantined >= d.delivered
 and d.quarantined > 0
@@ -162,13 +165,13 @@ def file_lines(con: "duckdb.DuckDBPyConnection", new_files: Collection[str], *, 
 
 
 def refused_logs(con: "duckdb.DuckDBPyConnection") -> list[str]:
-    """Report each log and list of which most lines are refused: nothing in it counts, and no alert can make up for it.
+    """Report each log and list of which most lines are refused, and why: no alert can make up for what they lack.
 
     Messages, maintenance and the fleet list.
     """
     lines = [
-        _("{file}: {n} of {lines} lines refused: {reason}", file=file, n=n, lines=n_lines, reason=_sentence(reason))
-        for file, n, n_lines, reason in con.execute(_REFUSED_LOGS).fetchall()
+        _("{file}: {n} of {lines} lines refused: {reason}", file=file, n=n, lines=n_lines, reason=_why(reasons))
+        for file, n, n_lines, reasons in con.execute(_REFUSED_LOGS).fetchall()
     ]
     return limit_lines(lines, _("the view quarantine has them"))
 
@@ -183,8 +186,12 @@ def judged_work_lines(con: "duckdb.DuckDBPyConnection") -> list[str]:
     return limit_lines(lines, "hdt query 'from maintenance'")
 
 
-def _sentence(reason: str) -> str:
-    return REASONS[reason].sentence if reason in REASONS else reason
+def _why(reasons: Sequence[tuple[str, int]]) -> str:
+    """Format the sentence of one reason, or several in a word or two with their lines, the most frequent first."""
+    first = reasons[0][0]
+    if len(reasons) == 1 and first in REASONS:
+        return REASONS[first].sentence
+    return ", ".join(f"{format_count(n)} {reason.replace('_', ' ')}" for reason, n in reasons)
 
 
 def silent_columns(con: "duckdb.DuckDBPyConnection") -> list[Row]:
