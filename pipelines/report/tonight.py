@@ -9,7 +9,7 @@ import polars as pl
 from hdt_core.components import components
 from pipelines.report import words
 from pipelines.report.facts import Facts
-from pipelines.report.rows import UnitRow, silence_lines
+from pipelines.report.rows import UnitRow, silence_lines, subject_of
 from pipelines.report.tasks import ACTIONS, Task, action_of, choices_of, tasks_of
 from pipelines.report.tracks import card_id, drawing, fleet_band, tracks
 from pipelines.words import _, format_count, number, several
@@ -83,6 +83,7 @@ def _row(facts: Facts, tracks: Mapping[str, Row], limits: Mapping[str, float], u
         "chance_text": unit.message(),
         "message_phrase": unit.message_phrase(),
         "to_do": (unit.to_do(), "; ".join(filter(None, (unit.effort(), unit.cost())))),
+        "subject": {c: unit[c] for c in ("operator", "tail", "pack", "came_at")} | subject_of(unit.values),
     }
 
 
@@ -164,13 +165,17 @@ def tonight_with_cards(facts: Facts, fouling_limit: float) -> Row:
 
 
 def _card(facts: Facts, row: Row, charts: Mapping[str, Row], fleet: Row) -> Row:
-    """Return the card of a row: open alerts, the chart where the unit has one, and its latest events."""
+    """Return the card of a row: open alerts, the chart where the unit has one, and its latest events.
+
+    A unit that needs work without an open alert has the choices at its next `stop`.
+    """
     has_chart = row["card"] in charts
     events = sorted(charts[row["card"]]["events"], key=lambda m: m["x"], reverse=True) if has_chart else []
     reference = facts["references"].filter(**{c: row[c] for c in ("operator", "tail", "pack", "component")})
     return row | {
         "reference": words.reference(next(reference.iter_rows(named=True), None)),
         "alerts": [a | answers(facts, a) for a in row["alerts"]],
+        "stop": _next_stop(facts, row["subject"]) if row["needs_work"] and not row["alerts"] else None,
         "chart": drawing(charts, row["card"], fleet, row["limit"]) if has_chart else None,
         "events": list(dict.fromkeys(m["text"] for m in events))[:3],
     }
@@ -178,18 +183,24 @@ def _card(facts: Facts, row: Row, charts: Mapping[str, Row], fleet: Row) -> Row:
 
 def answers(facts: Facts, alert: Row) -> Row:
     """Return sentences on an alert's case and on its dates, and the choices at the next stop as rows of a table."""
-    unit = {c: alert[c] for c in ("operator", "tail", "pack", "component")}
     case = next(facts["cases"].filter(alert_id=alert["alert_id"]).iter_rows(named=True), None)
+    stop = _next_stop(facts, alert | {"came_at": alert["now_came_at"]})
+    sentences = [*_recurrence(alert), *stop["sentences"]]
+    return stop | {"case": _case_lines(case) if case else [], "sentences": sentences}
+
+
+def _next_stop(facts: Facts, subject: Row) -> Row:
+    """Return sentences on the dates of a unit's alert, or of the unit, and the choices at the next stop."""
+    unit = {c: subject[c] for c in ("operator", "tail", "pack", "component")}
     due = next(facts["due"].filter(**unit).iter_rows(named=True), None)
     stops = {s["choice"]: s for s in facts["stops"].filter(**unit).to_dicts()}
-    tasks = tasks_of(facts.tasks, alert)
-    known = choices_of(alert["component"], tasks)
+    tasks = tasks_of(facts.tasks, subject)
+    known = choices_of(subject["component"], tasks)
     best = next((s["choice"] for s in stops.values() if s["place"] == 1), None)
-    first = action_of(alert | {"choice": best}, tasks)
+    first = action_of(subject | {"choice": best}, tasks)
     order = sorted(ACTIONS, key=lambda a: (a != first, stops.get(a, {}).get("place") or len(ACTIONS)))
     return {
-        "case": _case_lines(case) if case else [],
-        "sentences": [*_recurrence(alert), *(_due_lines(due) if due and alert["now_came_at"] is None else ())],
+        "sentences": _due_lines(due) if due and subject["came_at"] is None else [],
         "until": next(map(_until, stops.values()), ""),
         "choices": [_choice(a, tasks.get(a), stops) for a in order if a in (stops.keys() | tasks) & known],
     }

@@ -14,7 +14,7 @@ from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import thresholds
 from pipelines.report.rows import UnitRow, subject_of
 from pipelines.report.tasks import ACTIONS, Task, action_of, read_tasks, tasks_of, work_text
-from pipelines.report.tonight import tonight
+from pipelines.report.tonight import tonight, tonight_with_cards
 from pipelines.storage.catalog import connect
 from pipelines.storage.objects import StoreError
 from pipelines.words.evidence import stored_action
@@ -64,6 +64,15 @@ def test_chance_has_its_day(facts, kind, chance, text):
     check = {"check_name": "A-check", "until_on": dt.date(2024, 7, 7)}
     row = first_screen(facts, chance_kind=kind, chance=chance, message_at=None, **check)
     assert row["chance_text"] == text
+
+
+def test_unit_without_alert_has_choices(facts):
+    first = with_first(facts, urgency="plan", alert_id=None, is_contradicted=False)
+    no_alert = replace(first, frames=facts.frames | {"alerts": facts["alerts"].clear()})
+
+    (card,) = tonight_with_cards(no_alert, 0.15)["cards"]
+
+    assert {"inspect", "wash", "replace"} < {name for name, *_ in card["stop"]["choices"]}
 
 
 def test_recent_work_is_named(facts):
