@@ -14,7 +14,7 @@ import polars as pl
 
 from benchmarks.fuel_oil_exchanger import EXCHANGER, LIFE_FLIGHTS, LIMIT, measured
 from benchmarks.harness import DOCS, Texts, markdown, run
-from hdt_core.alerts.alerts import component_features
+from hdt_core.alerts.component_alerts import component_features
 from hdt_core.components import LINEAR, RESISTANCE, WearLaw, power_law
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.physics.model import Array

@@ -1,6 +1,4 @@
-"""Alerts of a fleet: all cases as rows of the catalog, also with one limit higher or lower, and those of declared
-components: one loss, its trend, and whether it exceeds the limit to plan for.
-"""
+"""Alerts of a fleet: all cases as rows of the catalog, also with one limit higher or lower."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
@@ -9,21 +7,17 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from hdt_core.alerts import phrases
-from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, alert_id_of, open_flights, runs, sensor_of
-from hdt_core.alerts.diagnoses import DIAGNOSES, Diagnosis, apply_inspections, close_after_work
+from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, alert_id_of, open_flights, sensor_of
+from hdt_core.alerts.diagnoses import DIAGNOSES
+from hdt_core.alerts.diagnosis import Diagnosis
 from hdt_core.alerts.disturbances import Disturbances, door_cases, find_disturbances
-from hdt_core.alerts.evidence import HIGH_SEVERITY_SHARE, declared_loss
-from hdt_core.alerts.facts import LossFacts
+from hdt_core.alerts.endings import apply_inspections, close_after_work
 from hdt_core.alerts.text import Figures, Text, TextList, to_json
-from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases, odds_above
-from hdt_core.components import Component
-from hdt_core.health.detection import persistent
-from hdt_core.health.features import features
-from hdt_core.records.keys import LEG_AT, PACK
+from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases
+from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import NEW_UNIT, select_entries
 
 REPEAT_DAYS = 90
@@ -67,6 +61,8 @@ def raise_alerts(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limi
     # doors first, then sensors, then wear: what a faulty door or sensor explains is not called wear
     disturbances = find_disturbances(grid, maintenance, limits)
     cases = disturbances.cases + wear_cases(grid, maintenance, limits, disturbances)
+    rules = [kind.rule for kind in DIAGNOSES.values() if kind.rule]
+    cases += [case for rule in rules for case in rule(grid, maintenance, limits, disturbances)]
     return as_alerts(grid, maintenance, cases, limits)
 
 
@@ -148,16 +144,6 @@ def _action_of(kind: Diagnosis[Any], units: int | None) -> list[Text]:
     return [upstream, Text(phrases.THEN), action.continued()]
 
 
-VALUES = {
-    "HX_FOULING": ("fouling", (0.10, 0.125, 0.15, 0.20, 0.25)),
-    "HX_SUDDEN_CLOG": ("clog", (0.07, 0.10, 0.15, 0.20)),
-    "HX_LOW_MARGIN": ("passage", (0.70, 0.80, 0.90, 0.95, 0.98)),
-    "CC_DEGRADED": ("compressor", (0.03, 0.04, 0.05, 0.07)),
-    "RAM_DOOR_FAULT": ("peg_k", (0.9, 1.3, 1.8, 2.5)),
-}
-"""By diagnosis, the limit (of `Limits`) that decides and its values; the one in service is among them."""
-
-
 @dataclass(frozen=True, slots=True)
 class Trial:
     """All alerts of a fleet with one limit changed."""
@@ -179,8 +165,9 @@ def trials(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | N
     limits = limits or Limits()
     grid = Grid.from_frame(features)
     disturbances = find_disturbances(grid, maintenance, limits)
-    for diagnosis, (name, values) in VALUES.items():
-        for value in values:
+    for diagnosis, kind in DIAGNOSES.items():
+        name = str(kind.limit)
+        for value in kind.limit_values:
             change: dict[str, Any] = {name: value}
             new_limits = replace(limits, **change)
             if diagnosis == "RAM_DOOR_FAULT":
@@ -189,83 +176,3 @@ def trials(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | N
                 cases = [*map(copy, disturbances.cases), *wear_cases(grid, maintenance, new_limits, disturbances)]
             alerts = as_alerts(grid, maintenance, cases, new_limits)
             yield Trial(diagnosis, name, value, value == getattr(limits, name), alerts)
-
-
-KEYS = [*LEG_AT, "flight_index", "flights_seen_of_unit", "flights_since_drop"]
-TRENDS = ("sd", "status", "slope_10_per_flight", "slope_30_per_flight", "slope_100_per_flight", "jump_10", "step_3")
-"""Columns of the loss beside its value, each prefixed with the loss's name."""
-
-
-def component_features(
-    health: pl.DataFrame, residuals: pl.DataFrame, legs: pl.DataFrame, maintenance: pl.DataFrame, component: Component
-) -> pl.DataFrame:
-    """Return one row a flight and pack: the loss under the name `loss`, with its trends.
-
-    Parameters
-    ----------
-    health, residuals, legs : DataFrame
-        Of all components; those of this one are taken.
-    """
-    own = pl.col("component") == component.code
-    columns = features(
-        health.filter(own), residuals.filter(own), legs.filter(own), maintenance, health=[component.loss]
-    )
-    trends = [pl.col(f"{component.loss}_{t}").alias(f"loss_{t}") for t in TRENDS if f"{component.loss}_{t}" in columns]
-    loss = pl.col(component.loss).alias("loss") if component.loss in columns.columns else pl.lit(None).alias("loss")
-    return columns.select(*KEYS, pl.lit(component.code).alias("component"), loss, *trends)
-
-
-def diagnosis_of(component: Component, limits: Limits) -> Diagnosis[LossFacts]:
-    """Return the diagnosis of a worn component, with the texts of its declaration."""
-    return Diagnosis(
-        code=component.diagnosis,
-        component=component.code,
-        name=f"{component.name} worn",
-        action=component.action,
-        ended_by=component.ended_by,
-        record=LossFacts,
-        severity=lambda facts: "high" if facts.loss > HIGH_SEVERITY_SHARE * component.limit.mean else "medium",
-        evidence=lambda facts, since: declared_loss(component, limits, facts, since),
-    )
-
-
-def raise_component_alerts(
-    features: pl.DataFrame, maintenance: pl.DataFrame, component: Component, limits: Limits
-) -> pl.DataFrame:
-    """Raise the alerts of one component, one row a case, in the columns of the catalog's `alerts`.
-
-    Parameters
-    ----------
-    features : DataFrame
-        Of `component_features`.
-    maintenance : DataFrame
-        Work on the component ends its cases.
-    """
-    own = features.filter(pl.col("component") == component.code)
-    if own.is_empty():
-        return pl.DataFrame(schema=SCHEMA)
-    grid = Grid.from_frame(own)
-    diagnosis = diagnosis_of(component, limits)
-    cases = _wear_cases(grid, maintenance, component, limits)
-    cases = close_after_work(grid, maintenance, cases, [diagnosis])
-    return alert_rows(grid, maintenance, cases, {diagnosis.code: diagnosis})
-
-
-def _wear_cases(grid: Grid, maintenance: pl.DataFrame, component: Component, limits: Limits) -> list[Case]:
-    """Find losses above their limit with enough probability on most recent flights, until long below it."""
-    restart = grid.worked_on(maintenance, (component.code,), component.ended_by)
-    loss = grid.values("loss")
-    sd = grid.values("loss_sd")
-    sure = grid.as_observed(odds_above(loss, sd, component.warn_loss) > limits.fouling_odds, "loss", restart)
-    keep = np.nan_to_num(loss) > limits.fouling_keep * component.warn_loss
-    on = persistent(sure, *limits.wear_persistence, keep=keep, restart=restart)
-    return [
-        Case(unit, component.code, component.diagnosis, first, end, {"since": _first_flagged(sure[unit], first)})
-        for unit, first, end in runs(on, restart)
-    ]
-
-
-def _first_flagged(sure: np.ndarray, first: int) -> int:
-    """Return the first flagged of the last four flights up to `first`."""
-    recent = np.flatnonzero(sure[max(first - 3, 0) : first + 1])
-    return int(max(first - 3, 0) + recent[0]) if recent.size else first

@@ -7,7 +7,8 @@ from typing import Any
 import polars as pl
 
 from hdt_core.alerts.cases import REPAIR
-from hdt_core.alerts.diagnoses import DIAGNOSES, FOUND_CLEAN, INSPECTIONS, RENEWED
+from hdt_core.alerts.diagnoses import DIAGNOSES
+from hdt_core.alerts.endings import FOUND_CLEAN, INSPECTIONS, RENEWED
 from hdt_core.components import components
 from hdt_core.components.declaration import NO_FAULT
 from hdt_core.records.keys import PACK

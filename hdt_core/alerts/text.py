@@ -10,6 +10,28 @@ from string import Formatter
 from typing import Any, Self
 
 
+class Phrase(str):
+    """A declared phrase with its values as `{name}`; translations cover every one.
+
+    A value is a number, a name or another phrase; a field that is a column of the catalog, such as `{hx_fouling}`,
+    stands for its name in parentheses.
+    """
+
+    def __new__(cls, text: str) -> Self:
+        """Declare a phrase."""
+        phrase = super().__new__(cls, text)
+        _DECLARED.setdefault(text)
+        return phrase
+
+
+_DECLARED: dict[str, None] = {}
+
+
+def declared_phrases() -> list[str]:
+    """List all phrases that are declared so far."""
+    return list(_DECLARED)
+
+
 class Figures(str):
     """A number as it is written, with its unit where it has one that may be converted."""
 
@@ -46,8 +68,8 @@ class Text(str):
 
     Attributes
     ----------
-    phrase : str
-        As declared, with its fields.
+    phrase : Phrase or str
+        As declared, with its fields; of a `whole` text the text itself.
     values : dict
         By field.
     is_continued : bool
@@ -58,7 +80,7 @@ class Text(str):
     values: dict[str, str]
     is_continued: bool
 
-    def __new__(cls, phrase: str, /, **values: str) -> Self:
+    def __new__(cls, phrase: Phrase, /, **values: str) -> Self:
         """Fill in the phrase."""
         names = [name for _, name, _, _ in Formatter().parse(phrase) if name]
         filled = {name: values[name] if name in values else Column(name) for name in names}

@@ -284,8 +284,7 @@ class FeaturesAlerts(Table):
     pack = pack_key()
     component = text("HX, CC, RAM_DOOR, SENSOR or the code of a declared component", nullable=False)
     diagnosis = text(
-        "HX_FOULING, HX_SUDDEN_CLOG, HX_LOW_MARGIN, CC_DEGRADED, RAM_DOOR_FAULT, SENSOR_FAULT, or one of a declared "
-        "component",
+        "code of the diagnosis, of unnest(tables.diagnoses()) or of a declared component",
         nullable=False,
     )
     sensor = text("SENSOR_FAULT: sensor at fault or, where a loss was found clean, the component; null for others")

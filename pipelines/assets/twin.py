@@ -5,7 +5,8 @@ from pathlib import Path
 
 import polars as pl
 
-from hdt_core.alerts.alerts import component_features, raise_alerts, raise_component_alerts
+from hdt_core.alerts.alerts import raise_alerts
+from hdt_core.alerts.component_alerts import component_features, raise_component_alerts
 from hdt_core.alerts.succession import lines_of_night
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.flight_estimates import estimate_flights

@@ -152,7 +152,10 @@ def show(alert: AlertId, home: HomeDir = None, as_json: AsJson = False) -> None:
         return
     head = f"{row['case_id']}  {row['operator']} {words.unit_name(row)}  {words.diagnosis(row['diagnosis'])}"
     lines = [head, f"{_state(row)}; severity {row['severity']}; raised {row['raised_at']:%Y-%m-%d}"]
-    lines += [evidence_text(row["evidence_now_phrases"], WITH_COLUMNS), action_text(row["action_phrases"], WITH_COLUMNS)]
+    lines += [
+        evidence_text(row["evidence_now_phrases"], WITH_COLUMNS),
+        action_text(row["action_phrases"], WITH_COLUMNS),
+    ]
     lines += [f"hdt close {row['case_id'][:8]} --finding: {', '.join(findings(row['component']))}"]
     for entry in history:
         values = (entry[c] for c in ("assignee", "until", "finding", "action", "note"))

@@ -19,8 +19,6 @@ from pipelines.words.evidence import action_text
 NAME = "tasks.toml"
 ACTIONS = {"inspect": "inspect", "wash": "wash", "replace": "replace", "defer": "nothing until then"}
 """Labels of what may be done at the next stop."""
-WASHABLE = ("HX_FOULING", "CC_DEGRADED")
-"""Diagnoses of wear alone: the choice with the least expected cost is the action."""
 BEST_CHOICE = """
     left join next_stop as n on a.operator = n.operator and a.tail = n.tail and a.pack = n.pack
     and a.component = n.component and n.place = 1"""
@@ -88,7 +86,8 @@ def action_of(alert: Mapping[str, Any], tasks: Mapping[str, Task]) -> str:
     Where no cost is known it is the first action that `tasks` has, a wash before a replacement. Of a declared component
     those that `tasks` lacks do not count: to look is to do what its declaration says.
     """
-    is_wear = alert["diagnosis"] in WASHABLE or alert["diagnosis"] not in DIAGNOSES
+    kind = DIAGNOSES.get(alert["diagnosis"])
+    is_wear = kind is None or kind.is_wear  # a declared part wears
     if not is_wear or (alert["units_in_90_days"] or 0) >= REPEAT_UNITS:
         return "inspect"
     first = next((a for a in ("wash", "replace") if a in tasks), "inspect")

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import duckdb
 
+from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.tables import TABLES
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect, nights_of, open_catalog, open_database, quote, restrict
@@ -257,6 +258,7 @@ def add_named_views(con: duckdb.DuckDBPyConnection, names: Sequence[Name], store
 def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, names: Sequence[Name]) -> set[str]:
     """Update place and files, and the view of each table whose files have changed; return those."""
     con.execute(f"create or replace macro tables.folder() as {_folder(store)}")
+    con.execute(f"create or replace macro tables.diagnoses() as {list(DIAGNOSES)}")
     _set_macros(con, {"made_for": _place_hash(store), "made_as": _recipe_hash()})
     old: dict[str, list[str]] = {}
     for (path,) in con.execute("select path from tables.files order by path").fetchall():

@@ -5,10 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from hdt_core.alerts import component_alerts  # noqa: F401 - declares phrases
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from hdt_core.alerts.evidence import ELSE, ROLES, capitalised
-from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
-from hdt_core.alerts.text import Column, Text, TextList, to_json
+from hdt_core.alerts.phrases import CHECKS, SIGNALS
+from hdt_core.alerts.text import Column, Text, TextList, declared_phrases, to_json
 from hdt_core.components import components
 from pipelines.words import _, catalog_of, in_figures, language
 
@@ -32,7 +33,7 @@ def phrases() -> list[str]:
     texts = [text for c in components().values() for text in (c.name, c.lost, c.action, c.otherwise, c.waiting)]
     names = [text for d in DIAGNOSES.values() for text in (d.name, d.action)]
     labels = [f"{label}:" for label in (*ROLES, ELSE)]
-    return list(dict.fromkeys([*PHRASES, *SIGNALS.values(), *CHECKS.values(), *names, *texts, *labels]))
+    return list(dict.fromkeys([*declared_phrases(), *SIGNALS.values(), *CHECKS.values(), *names, *texts, *labels]))
 
 
 def stored_action(text: str) -> str:

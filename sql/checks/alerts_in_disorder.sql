@@ -16,9 +16,7 @@ where
     or a.raised_at <> f.departed_at
     or a.closed_at < a.raised_at
     or (
-        a.diagnosis not in (
-            'HX_FOULING', 'HX_SUDDEN_CLOG', 'HX_LOW_MARGIN', 'CC_DEGRADED', 'RAM_DOOR_FAULT', 'SENSOR_FAULT'
-        )
+        not list_contains(tables.diagnoses(), a.diagnosis)
         and a.diagnosis not in (
             select c.diagnosis from tables.components as c
             where c.recorded

@@ -12,6 +12,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
+from hdt_core.alerts.diagnoses import DIAGNOSES
 from pipelines.storage import catalog
 from pipelines.storage.catalog import CATALOG, connect
 from pipelines.storage.objects import StoreError
@@ -47,6 +48,13 @@ def test_view_has_contract_columns(con, view):
     counts = [f'count(*) filter (isnan("{column}"))' for column in numbers]
     n_nan = con.execute(f"select {', '.join(counts) or 'count(*)'} from {view}").fetchone()
     assert [column for column, n in zip(numbers, n_nan, strict=False) if n] == []
+
+
+def test_catalog_lists_declared_diagnoses(sample_home):
+    with connect(sample_home) as con:
+        ((codes,),) = con.execute("select tables.diagnoses()").fetchall()
+
+    assert codes == list(DIAGNOSES)
 
 
 def test_health_has_contract_parameters(con):

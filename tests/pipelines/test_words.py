@@ -14,8 +14,8 @@ from babel.messages.pofile import read_po
 from docs import translations
 from hdt_core.alerts.evidence import Corroboration, Evidence
 from hdt_core.alerts.fault_isolation import CHANNELS
-from hdt_core.alerts.phrases import CHECKS, PHRASES, SIGNALS
-from hdt_core.alerts.text import Figures, Text, TextList, to_json
+from hdt_core.alerts.phrases import CHECKS, SIGNALS
+from hdt_core.alerts.text import Figures, Phrase, Text, TextList, declared_phrases, to_json
 from hdt_core.components.pack import HX
 from hdt_core.loading import UserError
 from hdt_core.tables.raw import Signals
@@ -70,7 +70,7 @@ def stored(*texts: Text) -> str:
     return to_json(TextList(texts, "; "))
 
 
-@pytest.mark.parametrize("phrase", [p for p in PHRASES if "{" in p])
+@pytest.mark.parametrize("phrase", [Phrase(p) for p in declared_phrases() if "{" in p])
 def test_phrase_keeps_values_in_translation(phrase):
     text = Text(phrase, **{name: f"<{name}>" for name in fields(phrase) if "_" not in name})
 

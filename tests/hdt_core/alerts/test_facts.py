@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from hdt_core.alerts.facts import CompressorFacts, DoorFacts
+from hdt_core.alerts.diagnoses.compressor import CompressorFacts
+from hdt_core.alerts.diagnoses.ram_door import DoorFacts
 
 LATEST = {"cc_efficiency_loss": 0.1}
 

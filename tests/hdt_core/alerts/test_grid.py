@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 from one_pack import alerts, departure, features, work
 
-from hdt_core.alerts.alerts import raise_component_alerts
 from hdt_core.alerts.cases import UNOBSERVED, Grid, Limits
+from hdt_core.alerts.component_alerts import raise_component_alerts
 from hdt_core.components import components
 
 

@@ -9,10 +9,10 @@ from one_pack import FLIGHTS, departure, grid, work, work_before
 from scipy.stats import norm
 from twin_flights import NO_LOG
 
-from hdt_core.alerts.alerts import component_features, diagnosis_of, raise_alerts, raise_component_alerts
+from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.alerts.cases import Limits
+from hdt_core.alerts.component_alerts import LossFacts, component_features, diagnosis_of, raise_component_alerts
 from hdt_core.alerts.evidence import Evidence
-from hdt_core.alerts.facts import LossFacts
 from hdt_core.components import components
 
 SHORT = 40

@@ -5,11 +5,16 @@ from dataclasses import MISSING, fields
 import pytest
 from scipy.stats import norm
 
-from hdt_core.alerts import evidence as wording
+from hdt_core.alerts import evidence
 from hdt_core.alerts.cases import FAILS_AT
-from hdt_core.alerts.diagnoses import DIAGNOSES
+from hdt_core.alerts.diagnoses import DIAGNOSES, compressor, exchanger, low_margin, ram_door, sensor
+from hdt_core.alerts.diagnoses.compressor import CompressorFacts
+from hdt_core.alerts.diagnoses.exchanger import ExchangerFacts
+from hdt_core.alerts.diagnoses.low_margin import MarginFacts
+from hdt_core.alerts.diagnoses.ram_door import DoorFacts
+from hdt_core.alerts.diagnoses.sensor import SensorFacts
 from hdt_core.alerts.evidence import Evidence
-from hdt_core.alerts.facts import CompressorFacts, DoorFacts, ExchangerFacts, Facts, MarginFacts, SensorFacts
+from hdt_core.alerts.facts import Facts
 
 NAN = float("nan")
 WORN = {
@@ -25,7 +30,7 @@ def record_of(record: type[Facts], facts: dict):
     return record(**(dict.fromkeys(needed, NAN) | facts))
 
 
-def worn(rule=wording.exchanger, **changed: object) -> Evidence:
+def worn(rule=exchanger.exchanger, **changed: object) -> Evidence:
     return rule(record_of(ExchangerFacts, WORN | changed), "F07")
 
 
@@ -34,15 +39,15 @@ def worn(rule=wording.exchanger, **changed: object) -> Evidence:
     [
         # 90 % interval: 1.645 deviations on either side
         (
-            wording.exchanger,
+            exchanger.exchanger,
             {},
             "(hx_fouling) 25 % (22 to 28), 12 times its uncertainty; above 5 % since F07, and with",
         ),
-        (wording.exchanger, {}, "probability above 0.99"),
-        (wording.exchanger, {"hx_fouling": 0.07}, f"with probability {norm.cdf(1.0):.2f}"),
-        (wording.exchanger, {}, "; 2.1 points more every ten flights"),
-        (wording.exchanger, {"gained": 0.296}, "its last ten flights alone lost 30 points more"),
-        (wording.clog, {}, "12 points of it within three flights"),
+        (exchanger.exchanger, {}, "probability above 0.99"),
+        (exchanger.exchanger, {"hx_fouling": 0.07}, f"with probability {norm.cdf(1.0):.2f}"),
+        (exchanger.exchanger, {}, "; 2.1 points more every ten flights"),
+        (exchanger.exchanger, {"gained": 0.296}, "its last ten flights alone lost 30 points more"),
+        (exchanger.clog, {}, "12 points of it within three flights"),
     ],
 )
 def test_fouling_evidence_states_figures(rule, changed, words):
@@ -85,8 +90,8 @@ def test_lone_pack_has_one_witness():
 
 
 def test_intervals_are_in_percent():
-    assert wording.within(0.34, 0.01) == "34 % (32 to 36)"
-    assert wording.within(0.3, 0.02, 1) == "30.0 % (26.7 to 33.3)"
+    assert evidence.within(0.34, 0.01) == "34 % (32 to 36)"
+    assert evidence.within(0.3, 0.02, 1) == "30.0 % (26.7 to 33.3)"
 
 
 @pytest.mark.parametrize(
@@ -94,7 +99,7 @@ def test_intervals_are_in_percent():
     [(0.16, 0.01, "0.84"), (0.2, 0.01, "above 0.99"), (0.2, 0.0, "above 0.99"), (0.1, 0.05, f"{norm.cdf(-1.0):.2f}")],
 )
 def test_chances_are_in_hundredths(value, sd, chance):
-    assert wording.chance_above(value, 0.15, sd) == chance
+    assert evidence.chance_above(value, 0.15, sd) == chance
 
 
 FEW = (FAILS_AT - 0.2) / 49.0
@@ -111,7 +116,7 @@ CALM = {"hx_fouling": 0.2, "hx_fouling_slope_30_per_flight": 0.0}
     ],
 )  # fmt: skip
 def test_exchanger_severity_changes_at_edge(changed, severity):
-    assert wording.exchanger_severity(record_of(ExchangerFacts, CALM | changed)) == severity
+    assert exchanger.exchanger_severity(record_of(ExchangerFacts, CALM | changed)) == severity
 
 
 @pytest.mark.parametrize(
@@ -122,7 +127,7 @@ def test_exchanger_severity_changes_at_edge(changed, severity):
     ],
 )
 def test_flights_left_follow_trend(changed, flights):
-    assert wording.flights_left(record_of(ExchangerFacts, CALM | changed)) == flights
+    assert exchanger.flights_left(record_of(ExchangerFacts, CALM | changed)) == flights
 
 
 @pytest.mark.parametrize(
@@ -147,7 +152,7 @@ def test_severity_changes_at_edge(code, record, facts, severity):
 )  # fmt: skip
 def test_sensor_severity_follows_use(facts, severity):
     """Medium for a sensor that the health estimate depends on."""
-    assert wording.sensor_severity(record_of(SensorFacts, facts)) == severity
+    assert sensor.sensor_severity(record_of(SensorFacts, facts)) == severity
 
 
 LITTLE = WORN | {
@@ -157,8 +162,8 @@ LITTLE = WORN | {
 }  # fmt: skip
 
 
-def low_margin(**changed: float) -> str:
-    return wording.low_margin(record_of(MarginFacts, LITTLE | changed), "F07").text()
+def little_margin(**changed: float) -> str:
+    return low_margin.low_margin(record_of(MarginFacts, LITTLE | changed), "F07").text()
 
 
 @pytest.mark.parametrize(
@@ -171,11 +176,11 @@ def low_margin(**changed: float) -> str:
     ],
 )  # fmt: skip
 def test_low_margin_evidence_states_figures(changed, words):
-    assert words in low_margin(**changed)
+    assert words in little_margin(**changed)
 
 
 def test_cool_outlet_goes_unmentioned():
-    assert "outlet was" not in low_margin(overheat_p20_k=1.0)
+    assert "outlet was" not in little_margin(overheat_p20_k=1.0)
 
 
 SHRUNK = {
@@ -185,7 +190,7 @@ SHRUNK = {
 
 
 def shrunk(**changed: float) -> Evidence:
-    return wording.compressor(record_of(CompressorFacts, SHRUNK | changed), "F07")
+    return compressor.compressor(record_of(CompressorFacts, SHRUNK | changed), "F07")
 
 
 @pytest.mark.parametrize(
@@ -242,7 +247,7 @@ def test_unknown_diameter_is_no_witness(unknown, n_witnesses):
 def test_common_change_points_to_map(whose, is_held_back):
     facts = {"kind": "shift", "sensor": "pack_flow_kg_s", "whose": whose}
 
-    addendum = wording.sensor_addendum(record_of(SensorFacts, facts))
+    addendum = sensor.sensor_addendum(record_of(SensorFacts, facts))
 
     assert ("look at the recorder's scale, map and software first" in "".join(addendum)) == is_held_back
 
@@ -259,7 +264,7 @@ def test_common_change_points_to_map(whose, is_held_back):
     ids=["lost travel", "jam"],
 )
 def test_door_evidence_states_figures(facts, words):
-    assert words in wording.door(record_of(DoorFacts, facts), "F07").text()
+    assert words in ram_door.door(record_of(DoorFacts, facts), "F07").text()
 
 
 SHIFT = {"kind": "shift", "sensor": "hx_out_k", "sigma": 7.25, "p": 0.973}
@@ -284,4 +289,4 @@ BY_K = SHIFT | {"channel": "hx_out_between_packs_k", "moved": -3.456}
     ids=["kelvin", "probability", "percent", "dropout", "contradicted"],
 )
 def test_sensor_evidence_states_figures(facts, words):
-    assert words in wording.sensor(record_of(SensorFacts, facts), "F07").text()
+    assert words in sensor.sensor(record_of(SensorFacts, facts), "F07").text()

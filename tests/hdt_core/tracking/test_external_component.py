@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.alerts.alerts import component_features
+from hdt_core.alerts.component_alerts import component_features
 from hdt_core.components import Channel, Component, Limit, Record
 from hdt_core.flight.component_legs import component_samples
 from hdt_core.health.residuals import component_residuals

@@ -1,162 +1,28 @@
-"""Diagnoses of alerts, each declared once: its component, texts, action, and the work that closes its cases.
-
-To add one, declare it here and write a rule that finds its cases (`alerts.raise_alerts`); report, `hdt explain`,
-catalog and the check of alerts follow from the declaration.
+"""End cases: by work on their component, or by an inspection without a finding.
 
 An engineer who closes an alert writes an entry of the same form (`raw_maintenance`) as work has. Where the loss keeps
 growing after an inspection without a finding, the sensors behind the estimate are suspect and a sensor case is raised.
 """
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from datetime import datetime
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import polars as pl
 
-from hdt_core.alerts import evidence
-from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, alert_id_of, fact_after, runs, sensor_of
-from hdt_core.alerts.evidence import Evidence
-from hdt_core.alerts.facts import CompressorFacts, DoorFacts, ExchangerFacts, Facts, MarginFacts, SensorFacts
-from hdt_core.alerts.text import Text
+from hdt_core.alerts.cases import Case, Grid, Limits, alert_id_of, fact_after, runs, sensor_of
+from hdt_core.alerts.diagnoses import DIAGNOSES, LOSS
+from hdt_core.alerts.diagnosis import Diagnosis
 from hdt_core.alerts.wear import RISE_MARGIN
 from hdt_core.components.declaration import INSPECTED, NO_FAULT
-from hdt_core.components.pack import CC, HX
 from hdt_core.health.detection import persistent
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import date_entries, select_entries
 from hdt_core.robust import Array
 
-F = TypeVar("F", bound=Facts)
-
-
-@dataclass(frozen=True, slots=True)
-class Diagnosis(Generic[F]):
-    """One kind of case: its texts, its action and what ends it.
-
-    Attributes
-    ----------
-    code, component, name : str
-        As in the catalog; the component as in the log of work; the name in plain words.
-    action : str
-        What to do, with its ATA task.
-    ended_by : tuple of str
-        Actions on the component that end the case, because another or a repaired part is fitted.
-    record : type
-        Facts that severity and evidence rest on.
-    severity : callable
-        `low`, `medium` or `high` by the facts of a moment.
-    evidence : callable
-        Evidence by the facts of a moment and the flight since which the finding holds.
-    addendum : callable, optional
-        Texts that the facts add to the action.
-    ended_by_sound : bool
-        Whether an inspection of the component without a finding ends the case.
-    """
-
-    code: str
-    component: str
-    name: str
-    action: str
-    ended_by: tuple[str, ...]
-    record: type[F]
-    severity: Callable[[F], str]
-    evidence: Callable[[F, str], Evidence]
-    addendum: Callable[[F], tuple[Text, ...]] = lambda facts: ()
-    ended_by_sound: bool = True
-
-    def facts(self, grid: Grid, case: Case, flight: int) -> F:
-        """Return the facts after a flight: those the case was raised with, and the latest features."""
-        own = case.facts | case.facts_at(flight)
-        return self.record.collect(own, lambda name: _latest(grid, name, case, flight))
-
-
-def _latest(grid: Grid, name: str, case: Case, flight: int) -> float:
-    """Return the last value of a feature from the flight that raised the case to `flight`."""
-    values = grid.track(name, case.unit)[case.raised_flight : flight + 1]
-    values = values[np.isfinite(values)]
-    return float(values[-1]) if values.size else np.nan
-
-
-DIAGNOSES: dict[str, Diagnosis[Any]] = {
-    d.code: d
-    for d in (
-        Diagnosis(
-            code="HX_FOULING",
-            component="HX",
-            name="heat exchanger fouling",
-            action=HX.action,
-            ended_by=HX.ended_by,
-            record=ExchangerFacts,
-            severity=evidence.exchanger_severity,
-            evidence=evidence.exchanger,
-        ),
-        Diagnosis(
-            code="HX_SUDDEN_CLOG",
-            component="HX",
-            name="heat exchanger clogged suddenly",
-            action="Inspect ram air inlet and core face for foreign objects before the next long sector "
-            "(ATA 21-52, detailed visual inspection)",
-            ended_by=HX.ended_by,
-            record=ExchangerFacts,
-            severity=lambda facts: "high",
-            evidence=evidence.clog,
-        ),
-        Diagnosis(
-            code="HX_LOW_MARGIN",
-            component="HX",
-            name="little cooling margin left",
-            action="Check outlet target, flow schedule and ram door travel (ATA 21-53, rigging); a new exchanger "
-            "alone does not remove the cause; keep the aircraft off hot sectors where it can be, and wash at the next "
-            "stop",
-            ended_by=HX.ended_by,
-            record=MarginFacts,
-            severity=lambda facts: "high" if facts.hx_passage_100 > 0.5 else "medium",
-            evidence=evidence.low_margin,
-            ended_by_sound=False,  # its evidence already excludes wear as the only cause
-        ),
-        Diagnosis(
-            code="CC_DEGRADED",
-            component="CC",
-            name="compressor worn",
-            action=CC.action,
-            ended_by=CC.ended_by,
-            record=CompressorFacts,
-            severity=lambda facts: "medium",
-            evidence=evidence.compressor,
-        ),
-        Diagnosis(
-            code="RAM_DOOR_FAULT",
-            component="RAM_DOOR",
-            name="ram air door fault",
-            action="Operational test of the ram air inlet door and its actuator (ATA 21-53); rig or replace",
-            ended_by=REPAIR,
-            record=DoorFacts,
-            severity=lambda facts: "high" if facts.kind == "jam" else "medium",
-            evidence=evidence.door,
-        ),
-        Diagnosis(
-            code="SENSOR_FAULT",
-            component="SENSOR",
-            name="sensor fault",
-            action="Check connector and wiring, then replace the sensor (ATA 21-61)",
-            ended_by=REPAIR,
-            record=SensorFacts,
-            severity=evidence.sensor_severity,
-            evidence=evidence.sensor,
-            addendum=evidence.sensor_addendum,
-        ),
-    )
-}
-
-
 INSPECTIONS = (INSPECTED,)
 RENEWED, FOUND_CLEAN = "renewed", "found_clean"
-LOSS = {"HX_FOULING": "hx_fouling", "HX_SUDDEN_CLOG": "hx_fouling", "CC_DEGRADED": "cc_efficiency_loss"}
-"""Feature of the loss that a case of wear rests on."""
-LIMIT_NAMES = {"HX_FOULING": "fouling", "CC_DEGRADED": "compressor"}
-"""Limit of `Limits` that the growth since the inspection must exceed before wear is called again."""
 
 
 def close_after_work(
@@ -255,7 +121,8 @@ def _span(grid: Grid, maintenance: pl.DataFrame, case: Case) -> tuple[int, int, 
 
 def _same_loss(other: Case, case: Case, span: tuple[int, int], growth: Array, limits: Limits) -> bool:
     """Check whether `other` is raised on the inspected unit for no more loss than the inspection cleared."""
-    limit = LIMIT_NAMES.get(other.diagnosis)
+    kind = DIAGNOSES[other.diagnosis]
+    limit = kind.limit if kind.is_wear else None
     inside = other.unit == case.unit and span[0] <= other.raised_flight < span[1]
     if limit is None or not inside or other.component != case.component:
         return False
