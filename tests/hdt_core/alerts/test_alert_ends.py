@@ -186,7 +186,7 @@ def inspection(at: int = LOOKED_AFTER, finding: str | None = "NO_FAULT_FOUND", *
     return entry.with_columns(pl.lit(finding).alias("finding"), *(pl.lit(v).alias(k) for k, v in more.items()))
 
 
-def worn(after: float) -> np.ndarray:
+def loss_growing_by(after: float) -> np.ndarray:
     """A loss that rises to 0.2 until the inspection, and by `after` in the flights that follow."""
     later = 0.2 + after * (FLIGHT - LOOKED_AFTER) / (FLIGHTS - 60)
     return np.where(FLIGHT < LOOKED_AFTER, 0.2 * FLIGHT / LOOKED_AFTER, later)
@@ -199,11 +199,11 @@ def worn(after: float) -> np.ndarray:
 )
 def test_clean_finding_closes_alert(at: int, closed_at: datetime):
     """At once, and for as long as the loss stays."""
-    assert closings(alerts(features(worn(0.0)), inspection(at))) == [(closed_at, "found_clean")]
+    assert closings(alerts(features(loss_growing_by(0.0)), inspection(at))) == [(closed_at, "found_clean")]
 
 
 def test_clean_finding_changes_closing_only():
-    rows = features(worn(0.1)).head(LOOKED_AFTER)
+    rows = features(loss_growing_by(0.1)).head(LOOKED_AFTER)
     inspected, other = (alerts(rows, log).drop("closed_at", "closed_reason") for log in (inspection(), NOTHING))
     assert inspected.equals(other)
 
@@ -211,7 +211,7 @@ def test_clean_finding_changes_closing_only():
 @pytest.fixture(scope="module")
 def contradiction() -> list[dict[str, object]]:
     """Cases of a loss that grows on after a clean finding."""
-    return alerts(features(worn(0.1)), inspection()).to_dicts()
+    return alerts(features(loss_growing_by(0.1)), inspection()).to_dicts()
 
 
 def test_growing_loss_returns_as_sensor_fault(contradiction: list[dict[str, object]]):
@@ -235,14 +235,14 @@ def test_contradiction_asks_for_sensor_check(contradiction, column: str, words: 
     assert words in contradiction[1][column]
 
 
-def test_growth_in_one_spell_is_one_case():
-    cases = alerts(features(worn(0.25)), inspection())
+def test_growing_spell_is_one_case():
+    cases = alerts(features(loss_growing_by(0.25)), inspection())
     assert cases["diagnosis"].to_list() == ["HX_FOULING", "SENSOR_FAULT"]
 
 
 def test_growth_by_limit_is_wear():
     """After a gap in which the belief ends, and comes back higher."""
-    loss = np.where((FLIGHT > LOOKED_AFTER) & (FLIGHT < LOOKED_AFTER + 30), 0.0, worn(0.25))
+    loss = np.where((FLIGHT > LOOKED_AFTER) & (FLIGHT < LOOKED_AFTER + 30), 0.0, loss_growing_by(0.25))
     cases = alerts(features(loss).with_columns(hx_fouling_step_3=pl.lit(0.0)), inspection())
     assert cases["diagnosis"].to_list().count("HX_FOULING") == 2
 
@@ -250,7 +250,9 @@ def test_growth_by_limit_is_wear():
 @pytest.mark.parametrize(("growth", "n_contradictions"), [(0.031, 1), (0.029, 0)])
 def test_three_points_contradict_inspection(growth: float, n_contradictions: int):
     """On three flights of four."""
-    cases = alerts(features(np.where(FLIGHT < LOOKED_AFTER + 5, worn(0.0), LOSS_THEN + growth)), inspection())
+    cases = alerts(
+        features(np.where(FLIGHT < LOOKED_AFTER + 5, loss_growing_by(0.0), LOSS_THEN + growth)), inspection()
+    )
     assert cases["diagnosis"].to_list() == ["HX_FOULING"] + ["SENSOR_FAULT"] * n_contradictions
     assert cases["raised_at"].to_list()[1:] == [departure(LOOKED_AFTER + 7)] * n_contradictions
     words = "at a loss of 20 %, and the loss has grown to 23 %"
@@ -260,32 +262,32 @@ def test_three_points_contradict_inspection(growth: float, n_contradictions: int
 @pytest.mark.parametrize(("after", "closing"), [(0.0149, (departure(84), "recovered")), (0.0151, (None, None))])
 def test_contradiction_recovers_below_half(after: float, closing: tuple):
     """A contradiction lasts fifteen flights after the loss was last above half of the three points."""
-    loss = np.where(FLIGHT < 65, worn(0.0), np.where(FLIGHT < 70, 0.25, LOSS_THEN + after))
+    loss = np.where(FLIGHT < 65, loss_growing_by(0.0), np.where(FLIGHT < 70, 0.25, LOSS_THEN + after))
     assert closings(alerts(features(loss), inspection()))[1] == closing
 
 
 @pytest.mark.parametrize(("growth", "wear"), [(0.151, True), (0.149, False)])
 def test_wear_returns_above_whole_limit(growth: float, wear: bool):
-    loss = np.where(FLIGHT < LOOKED_AFTER, worn(0.0), np.where(FLIGHT < 80, 0.0, LOSS_THEN + growth))
+    loss = np.where(FLIGHT < LOOKED_AFTER, loss_growing_by(0.0), np.where(FLIGHT < 80, 0.0, LOSS_THEN + growth))
     cases = alerts(features(loss).with_columns(hx_fouling_step_3=pl.lit(0.0)), inspection())
     assert ("HX_FOULING" in cases["diagnosis"].to_list()[1:]) is wear
 
 
 @pytest.mark.parametrize("finding", [None, "FOULED"])
 def test_other_findings_close_nothing(finding: str | None):
-    assert closings(alerts(features(worn(0.1)), inspection(finding=finding))) == [(None, None)]
+    assert closings(alerts(features(loss_growing_by(0.1)), inspection(finding=finding))) == [(None, None)]
 
 
 @pytest.mark.parametrize("component", ["HX", "SENSOR"])
 def test_renewal_closes_sensor_case(component: str):
-    loss = np.where((component == "HX") & (FLIGHT >= 90), 0.0, worn(0.1))
+    loss = np.where((component == "HX") & (FLIGHT >= 90), 0.0, loss_growing_by(0.1))
     cases = alerts(features(loss), pl.concat([inspection(), work_before(90, component)], how="diagonal"))
     assert closings(cases) == [(departure(LOOKED_AFTER), "found_clean"), (departure(90), "renewed")]
 
 
 def test_next_unit_wears_by_itself():
     log = pl.concat([inspection(), work_before(80), work_before(95)])
-    loss = worn(0.0) + np.where(FLIGHT < 85, 0.0, 0.05)
+    loss = loss_growing_by(0.0) + np.where(FLIGHT < 85, 0.0, 0.05)
     assert alerts(features(loss), log)["diagnosis"].to_list() == ["HX_FOULING"] * 2
 
 

@@ -88,23 +88,23 @@ def test_no_flights_raise_nothing(samples, nothing_done):
 
 
 @pytest.fixture(scope="module")
-def fouled(samples) -> pl.DataFrame:
+def fouling_track(samples) -> pl.DataFrame:
     """Losses of a first pack that fouls."""
     return track(samples, {1: 0.1 + 0.0012 * FLIGHT})
 
 
-def test_fouling_raises_one_alert(samples, nothing_done, fouled):
-    out = alerts_of(samples, fouled, nothing_done)
-    raised = fouled.filter(pl.col("flight_id") == out["raised_flight_id"][0])["value"].max()
+def test_fouling_raises_one_alert(samples, nothing_done, fouling_track):
+    out = alerts_of(samples, fouling_track, nothing_done)
+    raised = fouling_track.filter(pl.col("flight_id") == out["raised_flight_id"][0])["value"].max()
     assert out.select("diagnosis", "closed_at").rows() == [("HX_FOULING", None)]
     assert 0.15 <= raised <= 0.18
     assert states_everything(out)
     assert FeaturesAlerts.faults(out) == []
 
 
-def test_operators_tails_are_apart(samples, nothing_done, fouled):
+def test_operators_tails_are_apart(samples, nothing_done, fouling_track):
     """Two operators have a tail of the same name."""
-    both = (pl.concat([rows, rows.with_columns(operator=pl.lit("TSU"))]) for rows in (samples, fouled))
+    both = (pl.concat([rows, rows.with_columns(operator=pl.lit("TSU"))]) for rows in (samples, fouling_track))
     assert alerts_of(*both, nothing_done)["operator"].to_list() == ["TST", "TSU"]
 
 

@@ -101,13 +101,13 @@ FLIGHT = np.arange(FLIGHTS)
 NOTHING = work(departure(0), UNIT.code).clear()
 
 
-def described(loss: object, **more: object) -> pl.DataFrame:
+def component_rows(loss: object, **more: object) -> pl.DataFrame:
     columns = {"loss": loss, "loss_sd": 0.01, "loss_slope_30_per_flight": 0.0, "loss_step_3": 0.0} | more
     return grid(**columns).rows.with_columns(component=pl.lit(UNIT.code))
 
 
 def alerts(loss: object, log: pl.DataFrame = NOTHING, **more: object) -> pl.DataFrame:
-    return raise_component_alerts(described(loss, **more), log, UNIT, Limits())
+    return raise_component_alerts(component_rows(loss, **more), log, UNIT, Limits())
 
 
 @pytest.mark.parametrize(("odds", "raised"), [(0.701, 1), (0.699, 0)])
@@ -141,7 +141,7 @@ def test_work_closes_component_alert():
 
 
 def test_other_component_raises_nothing():
-    others = described(0.0).with_columns(component=pl.lit("OTHER"))
+    others = component_rows(0.0).with_columns(component=pl.lit("OTHER"))
     assert raise_component_alerts(others, NOTHING, UNIT, Limits()).height == 0
 
 
@@ -172,7 +172,7 @@ def test_steady_loss_states_no_points(step):
 
 
 def test_component_features_share_one_name():
-    long = described(0.0).select("operator", "tail", "flight_id", "pack", "departed_at").with_columns(
+    long = component_rows(0.0).select("operator", "tail", "flight_id", "pack", "departed_at").with_columns(
         component=pl.lit(UNIT.code), parameter=pl.lit(UNIT.loss), value=0.001 * pl.int_range(pl.len()), sd=pl.lit(0.01),
         status=pl.lit("ok"),
     )  # fmt: skip

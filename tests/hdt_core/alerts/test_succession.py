@@ -26,7 +26,7 @@ def frame(table: str, rows: list[dict]) -> pl.DataFrame:
     return TABLES[table].schema.conform(pl.DataFrame(rows, infer_schema_length=None))
 
 
-def added(log: list[dict], before: list[dict], now: list[dict]) -> list[dict]:
+def lines_between(log: list[dict], before: list[dict], now: list[dict]) -> list[dict]:
     """The lines that a night adds to the log."""
     frames = (frame("raw_cases", log), frame("features_alerts", before), frame("features_alerts", now))
     ids = count(len(log))
@@ -40,7 +40,7 @@ def added(log: list[dict], before: list[dict], now: list[dict]) -> list[dict]:
 def log_of(*nights: list[dict]) -> list[dict]:
     log: list[dict] = []
     for before, now in pairwise(nights):
-        log += added(log, before, now)
+        log += lines_between(log, before, now)
     return log
 
 
@@ -87,7 +87,7 @@ def test_undated_line_follows_open_alert(day: int, case_id: str):
     line = OWN | alert("old", 0) | done | {"id": "1", "line": 1, "case_id": "old", "at": START, "kind": "close"}
     now = alerts((9, 20))
     log = [line | {"person": "Ada"}]
-    assert cases([*log, *added(log, [], now)], now)["day 9"] == (case_id, "day 9")
+    assert cases([*log, *lines_between(log, [], now)], now)["day 9"] == (case_id, "day 9")
 
 
 spans = st.tuples(st.integers(0, 12), st.none() | st.integers(1, 12)).map(lambda s: (s[0], s[1] and s[0] + s[1]))
@@ -101,12 +101,12 @@ def test_cases_stay_one_to_one(moves: list[list[Span]]):
     log: list[dict] = []
     for before, now in pairwise(alerts(*night) for night in moves):
         earlier = cases(log, before)
-        log += added(log, before, now)
+        log += lines_between(log, before, now)
         names = cases(log, now)
         assert len({alert_id for _, alert_id in names.values()}) == len({c for c, _ in names.values()}) == len(now)
         open_still = {n for n, (_, a) in earlier.items() if any(_overlap(a, before, b) for b in now)}
         assert open_still <= names.keys(), "a link to a case whose alert is raised leads to it"
-        assert added(log, now, now) == [], "a night without a move adds nothing"
+        assert lines_between(log, now, now) == [], "a night without a move adds nothing"
 
 
 def _overlap(alert_id: str, alerts_before: list[dict], other: dict) -> bool:

@@ -238,7 +238,7 @@ def test_compressor_case_needs_four_of_five(every, cases):
     assert efficiency_cases(np.where(FLIGHT % every == 0, 0.04, 0.08)) == cases
 
 
-def shrunk(by: float, **more: object) -> list[Case]:
+def diameter_cases(by: float, **more: object) -> list[Case]:
     diameter = 0.16 * np.where(FLIGHT < 40, 1.0, 1.0 - by)
     return compressor_cases(cc_effective_diameter_m=diameter, running=True, **more)
 
@@ -246,14 +246,14 @@ def shrunk(by: float, **more: object) -> list[Case]:
 def test_smaller_diameter_is_a_case():
     """6 % are 5.5 of half the expected 2.2 %: 4.5 a flight at most, less .75, pass 8 with the third flight; the
     smoothed departure passes -2.5 % with the third, too."""
-    (case,) = shrunk(0.06)
+    (case,) = diameter_cases(0.06)
     assert case.raised_flight in (42, 43)
     assert case.facts_at(60)["shrunk"] == pytest.approx(np.log(0.94), abs=0.005)
 
 
 @pytest.mark.parametrize(("by", "raised"), [(-0.06, False), (0.024, False), (0.027, True)])
 def test_diameter_limit_is_a_fortieth(by, raised):
-    assert bool(shrunk(by)) is raised
+    assert bool(diameter_cases(by)) is raised
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_diameter_limit_is_a_fortieth(by, raised):
 )
 def test_smaller_diameter_yields_to_efficiency(more):
     """Nor does it count while the speed or a pressure is in doubt."""
-    assert shrunk(0.06, **more) == []
+    assert diameter_cases(0.06, **more) == []
 
 
 def low(passage: object = 0.91, loss: object = 0.1, log: pl.DataFrame = NOTHING, sick: object = False) -> list[Case]:
@@ -301,7 +301,7 @@ def test_low_margin_states_first_flight(passage, first):
     assert [case.facts["since"] for case in low(passage)] == [first]
 
 
-def test_jump_of_old_unit_is_own_case():
+def test_old_units_jump_is_own_case():
     cases = fouling(np.where(FLIGHT < 61, 0.14, 0.2), work_before(60), hx_fouling_step_3=JUMP)
     assert spans(cases) == [("HX_SUDDEN_CLOG", 50, 60), ("HX_FOULING", 68, None)]
 

@@ -30,7 +30,7 @@ def record_of(record: type[Facts], facts: dict):
     return record(**(dict.fromkeys(needed, NAN) | facts))
 
 
-def worn(rule=exchanger.exchanger, **changed: object) -> Evidence:
+def fouling_evidence(rule=exchanger.exchanger, **changed: object) -> Evidence:
     return rule(record_of(ExchangerFacts, WORN | changed), "F07")
 
 
@@ -51,7 +51,7 @@ def worn(rule=exchanger.exchanger, **changed: object) -> Evidence:
     ],
 )
 def test_fouling_evidence_states_figures(rule, changed, words):
-    assert words in worn(rule, **changed).text()
+    assert words in fouling_evidence(rule, **changed).text()
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_fouling_evidence_states_figures(rule, changed, words):
     ],
 )  # fmt: skip
 def test_fouling_evidence_omits_small_differences(changed, words):
-    assert words not in worn(**changed).text()
+    assert words not in fouling_evidence(**changed).text()
 
 
 @pytest.mark.parametrize(
@@ -82,11 +82,11 @@ def test_fouling_evidence_omits_small_differences(changed, words):
     ],
 )
 def test_witness_role_changes_at_edge(changed, role, words):
-    assert [w.role for w in worn(**changed).corroborations if words in w.text] == [role]
+    assert [w.role for w in fouling_evidence(**changed).corroborations if words in w.text] == [role]
 
 
 def test_lone_pack_has_one_witness():
-    assert len(worn(hx_fouling_between_packs=NAN, ram_flow_loss=NAN).corroborations) == 1
+    assert len(fouling_evidence(hx_fouling_between_packs=NAN, ram_flow_loss=NAN).corroborations) == 1
 
 
 def test_intervals_are_in_percent():
@@ -162,7 +162,7 @@ LITTLE = WORN | {
 }  # fmt: skip
 
 
-def little_margin(**changed: float) -> str:
+def margin_text(**changed: float) -> str:
     return low_margin.low_margin(record_of(MarginFacts, LITTLE | changed), "F07").text()
 
 
@@ -176,11 +176,11 @@ def little_margin(**changed: float) -> str:
     ],
 )  # fmt: skip
 def test_low_margin_evidence_states_figures(changed, words):
-    assert words in little_margin(**changed)
+    assert words in margin_text(**changed)
 
 
 def test_cool_outlet_goes_unmentioned():
-    assert "outlet was" not in little_margin(overheat_p20_k=1.0)
+    assert "outlet was" not in margin_text(overheat_p20_k=1.0)
 
 
 SHRUNK = {
@@ -189,7 +189,7 @@ SHRUNK = {
 }  # fmt: skip
 
 
-def shrunk(**changed: float) -> Evidence:
+def compressor_evidence(**changed: float) -> Evidence:
     return compressor.compressor(record_of(CompressorFacts, SHRUNK | changed), "F07")
 
 
@@ -205,7 +205,7 @@ def shrunk(**changed: float) -> Evidence:
     ],
 )
 def test_compressor_evidence_states_figures(loss, words):
-    assert words in shrunk(cc_efficiency_loss=loss).findings[0]
+    assert words in compressor_evidence(cc_efficiency_loss=loss).findings[0]
 
 
 SHORT = {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}
@@ -220,27 +220,27 @@ SHORT = {"cc_diameter_left": -0.02, "cc_diameter_left_hot_high": 0.01}
     ],
 )  # fmt: skip
 def test_compressor_witnesses_state_figures(changed, witness, words):
-    assert words in shrunk(**changed).corroborations[witness].text
+    assert words in compressor_evidence(**changed).corroborations[witness].text
 
 
 def test_compressor_witness_names_diameter():
-    assert shrunk().corroborations[0].text.startswith("effective diameter lost (cc_diameter_loss) 2.1 %")
+    assert compressor_evidence().corroborations[0].text.startswith("effective diameter lost (cc_diameter_loss) 2.1 %")
 
 
 @pytest.mark.parametrize(
     ("loss", "role"), [(0.0206, "Supports"), (0.0204, "Neutral"), (-0.0219, "Neutral"), (-0.0221, "Against")]
 )
 def test_diameter_role_changes_at_edge(loss, role):
-    assert shrunk(cc_diameter_loss=loss).corroborations[0].role == role
+    assert compressor_evidence(cc_diameter_loss=loss).corroborations[0].role == role
 
 
 def test_small_diameter_supports_wear():
-    assert [w.role for w in shrunk(**SHORT).corroborations[1:]] == ["Supports", "Neutral"]
+    assert [w.role for w in compressor_evidence(**SHORT).corroborations[1:]] == ["Supports", "Neutral"]
 
 
 @pytest.mark.parametrize(("unknown", "n_witnesses"), [("cc_diameter_loss", 0), ("cc_diameter_left", 1)])
 def test_unknown_diameter_is_no_witness(unknown, n_witnesses):
-    assert len(shrunk(**{unknown: NAN}).corroborations) == n_witnesses
+    assert len(compressor_evidence(**{unknown: NAN}).corroborations) == n_witnesses
 
 
 @pytest.mark.parametrize(("whose", "is_held_back"), [("own", False), ("both", True)])

@@ -152,15 +152,15 @@ def usual(two) -> Dsm:
 
 
 @pytest.fixture(scope="module")
-def calibrated(two) -> Callable[[str], Dsm]:
+def model_by(two) -> Callable[[str], Dsm]:
     """Their model by a method."""
     return lambda method: calibrate(two.samples, two.legs, two.maintenance, (), by(method))
 
 
 @pytest.mark.usefixtures("stranger")
 @pytest.mark.parametrize("method", METHODS)
-def test_design_lies_near_default(usual, calibrated, method):
-    dsm = calibrated(method)
+def test_design_lies_near_default(usual, model_by, method):
+    dsm = model_by(method)
 
     sd = np.sqrt(np.diag(usual.exchanger_cov))
     np.testing.assert_allclose((dsm.design - usual.design) / sd, 0.0, atol=1.0)
@@ -170,25 +170,25 @@ def test_design_lies_near_default(usual, calibrated, method):
 
 
 @pytest.mark.usefixtures("stranger")
-def test_design_names_its_method(calibrated):
-    rows = design_parameters(calibrated(NAME)).filter(scope="fleet")
+def test_design_names_its_method(model_by):
+    rows = design_parameters(model_by(NAME)).filter(scope="fleet")
 
     estimator = dict(rows.select("parameter", "estimator").rows())
     assert (estimator["hx_exponent_hot"], estimator["cc_efficiency"]) == (NAME, f"{NAME}, pooled")
 
 
-def test_failed_design_is_the_default(two, usual, calibrated, package):
+def test_failed_design_is_the_default(two, usual, model_by, package):
     package(Lost("diverged"))
 
-    dsm = calibrated(NAME)
+    dsm = model_by(NAME)
 
     assert dsm.exchanger == usual.exchanger
     assert (dsm.exchanger_method, dsm.compressor.method) == (f"{NAME} without an estimate, finished by nls", "nls")
 
 
 @pytest.mark.usefixtures("stranger")
-def test_methods_have_different_versions(usual, calibrated):
-    assert calibrated(NAME).dsm_version != usual.dsm_version
+def test_methods_have_different_versions(usual, model_by):
+    assert model_by(NAME).dsm_version != usual.dsm_version
 
 
 def test_model_without_method_is_read(usual):

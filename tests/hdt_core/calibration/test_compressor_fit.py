@@ -71,7 +71,7 @@ GROUP_SLOPE = 3.3e-7
 
 
 @pytest.fixture(scope="module")
-def growing(fleet, fleets):
+def growing_fit(fleet, fleets):
     """A group that grows by a third of a millionth a count, read by a flow sensor and a position with their noise."""
     rng = np.random.default_rng(5)
     inlet = [fleet.samples[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")]
@@ -82,19 +82,19 @@ def growing(fleet, fleets):
     return fit_compressor(compressor_rows(noisy))
 
 
-def test_recovers_group_slope(growing):
-    sd = growing.group_slope_sd_m3_per_count
-    assert abs(growing.group_slope_m3_per_count - GROUP_SLOPE) < 3.0 * sd < 0.1 * GROUP_SLOPE
+def test_recovers_group_slope(growing_fit):
+    sd = growing_fit.group_slope_sd_m3_per_count
+    assert abs(growing_fit.group_slope_m3_per_count - GROUP_SLOPE) < 3.0 * sd < 0.1 * GROUP_SLOPE
 
 
 def test_constant_group_has_no_slope(fit):
     assert abs(fit.group_slope_m3_per_count) < 0.003 * GROUP_SLOPE
 
 
-def test_group_inverts_to_position(growing):
+def test_group_inverts_to_position(growing_fit):
     positions = np.array([320.0, 450.0, 580.0])
-    np.testing.assert_allclose(growing.position_counts(growing.group_at_m3(positions)), positions, rtol=1e-12)
-    assert growing.vda_widest_counts == pytest.approx(600.0, abs=25.0)
+    np.testing.assert_allclose(growing_fit.position_counts(growing_fit.group_at_m3(positions)), positions, rtol=1e-12)
+    assert growing_fit.vda_widest_counts == pytest.approx(600.0, abs=25.0)
 
 
 def test_worn_machine_keeps_line_steep(fleet, fleets):
@@ -136,31 +136,33 @@ FREE = ("cc_area_diameter_tan_beta_m3", "cc_diameter_vda_intercept")
 
 
 @pytest.fixture(scope="module")
-def grouped(fleet, fleets):
+def grouped_samples(fleet, fleets):
     """One aircraft whose flow follows its group."""
     return fleets.group_flow(fleet.only("T-00").samples)
 
 
 @pytest.fixture(scope="module")
-def single_fits(grouped):
+def single_fits(grouped_samples):
     """Flights fitted one by one, each from where the one before ended."""
     one_by_one = SimpleNamespace(name="nls", estimate=NonlinearLeastSquares().estimate)
-    return flight_by_flight(grouped, COMPRESSOR, FREE, outputs=("cc_flow_kg_s", "cc_out_pa"), estimator=one_by_one)
+    return flight_by_flight(
+        grouped_samples, COMPRESSOR, FREE, outputs=("cc_flow_kg_s", "cc_out_pa"), estimator=one_by_one
+    )
 
 
-def test_batched_fit_matches_single_fits(grouped, single_fits):
-    batched = flight_by_flight(grouped, COMPRESSOR, FREE, outputs=("cc_flow_kg_s", "cc_out_pa"), estimator=None)
+def test_batched_fit_matches_single_fits(grouped_samples, single_fits):
+    batched = flight_by_flight(grouped_samples, COMPRESSOR, FREE, outputs=("cc_flow_kg_s", "cc_out_pa"), estimator=None)
     for column in FREE:
         np.testing.assert_allclose(single_fits[column], batched[column], rtol=1e-6)
     assert single_fits["n_evals"].sum() < 0.8 * batched["n_evals"].sum()
 
 
-def test_single_fits_recover_group(grouped, single_fits, fleets):
+def test_single_fits_recover_group(grouped_samples, single_fits, fleets):
     group_m3 = single_fits[FREE[0]]
     assert set(single_fits["status"]) == {"converged"}
     np.testing.assert_allclose(group_m3, fleets.GROUP_M3, rtol=1e-6)
     sixth = single_fits.row(5, named=True)
-    s = grouped.filter(flight_id=sixth["flight_id"], pack=sixth["pack"])
+    s = grouped_samples.filter(flight_id=sixth["flight_id"], pack=sixth["pack"])
     flow = inlet_flow_kg_s(group_m3[5], *(s[c].to_numpy() for c in ("cc_in_pa", "cc_in_k", "cc_speed_rad_s")))
     np.testing.assert_allclose(flow, s["cc_flow_kg_s"].to_numpy(), rtol=1e-6)
 

@@ -51,7 +51,7 @@ def test_flight_value_is_huber_location(values):
 
 
 @pytest.fixture(scope="module")
-def flown() -> pl.DataFrame:
+def two_flights() -> pl.DataFrame:
     """Two flights of an aircraft, eight samples each."""
     return fleet_with_truth(1, 2, seed=3).samples
 
@@ -63,9 +63,9 @@ BIAS = np.array(BIASED.packs[0].bias)[:, None]
 
 
 @pytest.fixture(scope="module")
-def own(flown) -> pl.DataFrame:
+def own(two_flights) -> pl.DataFrame:
     """Samples of the first flight of the biased pack."""
-    return flown.filter(pl.col("flight_id") == flown["flight_id"].min(), pack=1)
+    return two_flights.filter(pl.col("flight_id") == two_flights["flight_id"].min(), pack=1)
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +80,9 @@ def middle(own_signals) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def estimate(flown) -> dict[str, object]:
+def estimate(two_flights) -> dict[str, object]:
     """What is estimated of it."""
-    return estimate_flights(flown, BIASED).row(0, named=True)
+    return estimate_flights(two_flights, BIASED).row(0, named=True)
 
 
 @pytest.mark.parametrize(
@@ -142,10 +142,10 @@ def test_map_error_follows_design(estimate, gradient):
     assert estimate["ln_ua_ratio_map_sd"] == pytest.approx(0.1 * np.linalg.norm(gradient), rel=1e-3)
 
 
-def test_map_error_excludes_own_level(flown, gradient):
+def test_map_error_excludes_own_level(two_flights, gradient):
     """Half of the gradient is the model's own level's."""
     anchored = replace(BIASED, gradient=tuple(0.5 * gradient))
-    half_sd = estimate_flights(flown, anchored)["ln_ua_ratio_map_sd"][0]
+    half_sd = estimate_flights(two_flights, anchored)["ln_ua_ratio_map_sd"][0]
     assert half_sd == pytest.approx(0.05 * np.linalg.norm(gradient), rel=1e-3)
 
 
@@ -155,17 +155,17 @@ def test_design_gradient_is_central_difference(middle, gradient):
 
 
 @pytest.fixture(scope="module")
-def climb(flown) -> pl.DataFrame:
+def climb(two_flights) -> pl.DataFrame:
     """Four samples of each flight as a climb, the door opened further."""
-    return flown.filter(pack=1).group_by("flight_id", maintain_order=True).head(4).with_columns(
+    return two_flights.filter(pack=1).group_by("flight_id", maintain_order=True).head(4).with_columns(
         phase=pl.lit("climb"), time_utc=pl.col("time_utc") - timedelta(hours=1),
         ram_door_open=pl.col("ram_door_open") + 0.1
     )  # fmt: skip
 
 
-def test_climb_reveals_door_error(flown, climb):
+def test_climb_reveals_door_error(two_flights, climb):
     """Four samples or more, with air through the pack: their median over the cruise."""
-    twin = estimate_flights(pl.concat([flown, climb]), DSM).filter(pack=1)
+    twin = estimate_flights(pl.concat([two_flights, climb]), DSM).filter(pack=1)
     first = climb.filter(pl.col("flight_id") == twin["flight_id"][0])
     signals = {n: first[n].to_numpy().astype(float) for n in hx.SIGNALS}
     ratio = np.median(hx.ln_conductance_ratio(signals, DSM.design, np.zeros((6, 1))))
@@ -179,19 +179,19 @@ def test_climb_reveals_door_error(flown, climb):
         ("phase", "taxi", 4), ("phase", "descent", 2),
     ],
 )  # fmt: skip
-def test_climb_needs_four_samples(flown, climb, column, value, n_null):
+def test_climb_needs_four_samples(two_flights, climb, column, value, n_null):
     """Above 2,500 m, in climb or descent of a running pack; total pressure is known by height and Mach number."""
     silent = climb.with_columns(total_pressure_pa=pl.lit(None, pl.Float64))
     odd = alter(silent, pl.int_range(pl.len()).over("flight_id") == 0, **{column: pl.lit(value)})
-    assert estimate_flights(pl.concat([flown, odd]), DSM)["door_apart_ln"].null_count() == n_null
+    assert estimate_flights(pl.concat([two_flights, odd]), DSM)["door_apart_ln"].null_count() == n_null
 
 
 @pytest.mark.parametrize(("change", "status"), [
     ({"phase": "climb"}, "no_cruise"), ({"monitored": False}, "no_cruise"), ({"hx_out_k": None}, "no_cruise"),
     ({}, "ok"),
 ])  # fmt: skip
-def test_flight_without_cruise_is_silent(flown, change, status):
-    odd = flown.with_columns(pl.lit(v, dtype=flown.schema[c]).alias(c) for c, v in change.items())
+def test_flight_without_cruise_is_silent(two_flights, change, status):
+    odd = two_flights.with_columns(pl.lit(v, dtype=two_flights.schema[c]).alias(c) for c, v in change.items())
     twin = estimate_flights(odd, DSM)
     assert twin["status"].unique().to_list() == [status]
     assert twin.height == 4
@@ -200,17 +200,17 @@ def test_flight_without_cruise_is_silent(flown, change, status):
 
 
 @pytest.mark.parametrize(("n", "status"), [(2, "few_samples"), (3, "ok")])
-def test_flight_needs_three_samples(flown, n, status):
-    few = flown.group_by("flight_id", "pack").head(n)
+def test_flight_needs_three_samples(two_flights, n, status):
+    few = two_flights.group_by("flight_id", "pack").head(n)
     assert estimate_flights(few, DSM)["status"].unique().to_list() == [status]
 
 
 @pytest.mark.parametrize(("off", "status"), [(4.99, "ok"), (5.01, "implausible"), (-5.01, "implausible")])
-def test_implausible_ratio_is_withheld(flown, off, status):
+def test_implausible_ratio_is_withheld(two_flights, off, status):
     """No core is 150 times another."""
     design = list(DSM.exchanger)
-    design[hx.NAMES.index("ln_ua_reference")] += estimate_flights(flown, DSM)["ln_ua_ratio"][0] - off
-    row = estimate_flights(flown, replace(DSM, exchanger=tuple(design))).row(0, named=True)
+    design[hx.NAMES.index("ln_ua_reference")] += estimate_flights(two_flights, DSM)["ln_ua_ratio"][0] - off
+    row = estimate_flights(two_flights, replace(DSM, exchanger=tuple(design))).row(0, named=True)
     assert row["status"] == status
     assert (row["ln_ua_ratio"] is None) == (row["ua_w_k"] is None) == (status != "ok")
 
@@ -225,16 +225,16 @@ def test_air_data_fill_gaps():
     assert filled["cc_in_k"].null_count() == 2
 
 
-def test_points_are_medians_of_levels(flown):
+def test_points_are_medians_of_levels(two_flights):
     """Levels of 300 m."""
-    own = cruise_samples(flown).filter(pack=1)
+    own = cruise_samples(two_flights).filter(pack=1)
     own = own.with_columns(altitude_m=pl.lit(10500.0) + pl.Series([0.0, 140.0, 160.0, -140.0, 0, 0, 0, 0] * 2))
     points = level_points(own, flights_of(own))
     assert points["n_samples"].to_list() == [7.0, 1.0] * 2
     assert points["order"].to_list() == [0, 0, 1, 1]
     first = own.filter(pl.col("flight_id") == points["flight_id"][0]).sort("time_utc")
     assert points["tat_k"][0] == first["tat_k"].gather([0, 1, 3, 4, 5, 6, 7]).median()
-    packs = flown.select(PACK).unique().sort(PACK)
+    packs = two_flights.select(PACK).unique().sort(PACK)
     assert to_points(points, packs).pack.tolist() == [0] * 4
 
 

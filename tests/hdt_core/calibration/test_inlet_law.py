@@ -17,10 +17,10 @@ SLOPES = (0.6, 0.35, 4.0, -6.0, 0.05, -0.04)
 
 @pytest.fixture(scope="module")
 def cruise() -> pl.DataFrame:
-    flown = cruise_samples(fleet_with_truth(1, 14, seed=3).samples).sort("pack", "flight_id", "time_utc")
+    rows = cruise_samples(fleet_with_truth(1, 14, seed=3).samples).sort("pack", "flight_id", "time_utc")
     rng = np.random.default_rng(1)
-    return flown.with_columns(cc_out_k=pl.Series(440.0 + 12.0 * rng.standard_normal(flown.height)),
-                              ram_door_open=pl.Series(rng.uniform(0.1, 0.9, flown.height)))  # fmt: skip
+    return rows.with_columns(cc_out_k=pl.Series(440.0 + 12.0 * rng.standard_normal(rows.height)),
+                             ram_door_open=pl.Series(rng.uniform(0.1, 0.9, rows.height)))  # fmt: skip
 
 
 def without_bias(rows: pl.DataFrame) -> dict[str, np.ndarray]:
@@ -157,7 +157,7 @@ EFFECTIVENESS = 0.4
 
 
 @pytest.fixture(scope="module")
-def flown(fleet, model):
+def fleet_cruise(fleet, model):
     """Cruise of a fleet whose hot inlet is what a first exchanger in the same ram air leaves of the discharge."""
     cruise = cruise_samples(fleet.samples).drop_nulls(list(hx.SIGNALS))
     rng = np.random.default_rng(5)
@@ -187,29 +187,29 @@ def spread(frame):
 
 
 @pytest.fixture(scope="module")
-def slopes(flown, model):
-    return learn_inlet(flown, model.design, model.bias_of(flown))
+def slopes(fleet_cruise, model):
+    return learn_inlet(fleet_cruise, model.design, model.bias_of(fleet_cruise))
 
 
 NO_READING = pl.lit(None, pl.Float64)
 
 
-def test_recovers_inlet_law(flown, model, slopes):
+def test_recovers_inlet_law(fleet_cruise, model, slopes):
     assert slopes[0] == pytest.approx(1.0 - EFFECTIVENESS, abs=0.1)
-    assert spread(above(flown, model, slopes)) < 0.5
+    assert spread(above(fleet_cruise, model, slopes)) < 0.5
 
 
-def test_law_holds_without_discharge_temperature(flown, model, slopes):
-    silent = flown.with_columns(cc_out_k=NO_READING)
+def test_law_holds_without_discharge_temperature(fleet_cruise, model, slopes):
+    silent = fleet_cruise.with_columns(cc_out_k=NO_READING)
     assert above(silent, model, slopes)["inlet_apart_k"].is_not_null().all()
 
 
-def test_recovers_inlet_with_open_door(flown, model, slopes):
-    bias = model.bias_of(flown)
-    signals = hx.without_bias({n: flown[n].to_numpy().astype(float) for n in hx.SIGNALS}, bias)
-    full = signals | {"ram_door_open": np.ones(flown.height)}
-    truth_k = behind_first_exchanger(full, flown["cc_out_k"].to_numpy(), model)
-    inlet_k = full_open_inlet_k(flown, slopes, model.design, bias, signals["hx_out_k"])
+def test_recovers_inlet_with_open_door(fleet_cruise, model, slopes):
+    bias = model.bias_of(fleet_cruise)
+    signals = hx.without_bias({n: fleet_cruise[n].to_numpy().astype(float) for n in hx.SIGNALS}, bias)
+    full = signals | {"ram_door_open": np.ones(fleet_cruise.height)}
+    truth_k = behind_first_exchanger(full, fleet_cruise["cc_out_k"].to_numpy(), model)
+    inlet_k = full_open_inlet_k(fleet_cruise, slopes, model.design, bias, signals["hx_out_k"])
     error_k = np.abs(inlet_k - bias[hx.BIASES.index("hx_in_k")] - truth_k)
     shut = signals["ram_door_open"] < 0.5
     assert np.median((signals["hx_in_k"] - truth_k)[shut]) > 8.0, "what is at stake"
@@ -217,18 +217,20 @@ def test_recovers_inlet_with_open_door(flown, model, slopes):
     assert np.quantile(error_k[shut], 0.9) < 5.0
 
 
-def test_inlet_without_discharge_is_as_recorded(flown, model, slopes):
-    blind = flown.with_columns(cc_out_k=NO_READING, cc_out_pa=NO_READING)
-    inlet = full_open_inlet_k(blind, slopes, model.design, model.bias_of(flown), flown["hx_out_k"].to_numpy())
-    np.testing.assert_array_equal(inlet, flown["hx_in_k"].to_numpy())
+def test_inlet_without_discharge_is_as_recorded(fleet_cruise, model, slopes):
+    blind = fleet_cruise.with_columns(cc_out_k=NO_READING, cc_out_pa=NO_READING)
+    inlet = full_open_inlet_k(
+        blind, slopes, model.design, model.bias_of(fleet_cruise), fleet_cruise["hx_out_k"].to_numpy()
+    )
+    np.testing.assert_array_equal(inlet, fleet_cruise["hx_in_k"].to_numpy())
 
 
-def test_no_law_gives_no_excess(flown, model):
-    assert above(flown, model, ())["inlet_apart_k"].is_null().all()
+def test_no_law_gives_no_excess(fleet_cruise, model):
+    assert above(fleet_cruise, model, ())["inlet_apart_k"].is_null().all()
 
 
 @pytest.mark.parametrize(("sensor", "error", "least"), [("hx_in_k", 4.0, 1.5), ("cc_out_k", -4.0, 1.5)])
-def test_biased_sensor_leaves_law(flown, model, slopes, sensor, error, least):
-    above_law = above(flown.with_columns(pl.col(sensor) + error), model, slopes)
-    shift = above_law["inlet_apart_k"] - above(flown, model, slopes)["inlet_apart_k"]
+def test_biased_sensor_leaves_law(fleet_cruise, model, slopes, sensor, error, least):
+    above_law = above(fleet_cruise.with_columns(pl.col(sensor) + error), model, slopes)
+    shift = above_law["inlet_apart_k"] - above(fleet_cruise, model, slopes)["inlet_apart_k"]
     assert shift.median() > least

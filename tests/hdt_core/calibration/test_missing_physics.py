@@ -33,24 +33,24 @@ def lacking_term(fleet, name, value):
 
 
 @pytest.fixture(scope="module")
-def plain():
+def plain_fleet():
     return fleet_with_truth(4, 120)
 
 
 @pytest.fixture(scope="module")
-def sprayed(plain):
+def sprayed_fleet(plain_fleet):
     """Water sprayed at the ram inlet: the exchanger meets cooler air than the probe reads."""
-    return lacking_term(plain, "water_spray", SPRAY)
+    return lacking_term(plain_fleet, "water_spray", SPRAY)
 
 
 @pytest.fixture(scope="module")
-def lacking(sprayed):
-    return calibrate(sprayed.samples, sprayed.legs, sprayed.maintenance)
+def incomplete_model(sprayed_fleet):
+    return calibrate(sprayed_fleet.samples, sprayed_fleet.legs, sprayed_fleet.maintenance)
 
 
 @pytest.fixture(scope="module")
-def mended(sprayed):
-    return calibrate(sprayed.samples, sprayed.legs, sprayed.maintenance, ("water_spray",))
+def complete_model(sprayed_fleet):
+    return calibrate(sprayed_fleet.samples, sprayed_fleet.legs, sprayed_fleet.maintenance, ("water_spray",))
 
 
 def scatter(flights):
@@ -65,44 +65,44 @@ def test_complete_model_gets_no_proposal(fleet, model):
     assert proposals["bic_gain"].max() < 0.0
 
 
-def test_missing_term_is_proposed_alone(sprayed, lacking):
-    proposals = propose(estimate_flights(sprayed.samples, lacking), lacking)
+def test_missing_term_is_proposed_alone(sprayed_fleet, incomplete_model):
+    proposals = propose(estimate_flights(sprayed_fleet.samples, incomplete_model), incomplete_model)
     assert proposals.filter("proposed")["term"].to_list() == ["water_spray"]
     best = proposals.row(0, named=True)
     assert best["held_out_change"] < -0.3
     assert best["value"] == pytest.approx(SPRAY, abs=4.0 * best["sd"])
 
 
-def test_accepted_term_mends_model(sprayed, lacking, mended):
-    assert mended.terms["water_spray"] == pytest.approx(SPRAY, abs=0.06)
-    before, after = (estimate_flights(sprayed.samples, model) for model in (lacking, mended))
+def test_accepted_term_mends_model(sprayed_fleet, incomplete_model, complete_model):
+    assert complete_model.terms["water_spray"] == pytest.approx(SPRAY, abs=0.06)
+    before, after = (estimate_flights(sprayed_fleet.samples, model) for model in (incomplete_model, complete_model))
     assert scatter(after) < 0.7 * scatter(before)
-    assert not propose(after, mended)["proposed"].any()
+    assert not propose(after, complete_model)["proposed"].any()
 
 
-def test_mended_model_survives_dict(mended):
-    assert Dsm.from_dict(mended.to_dict()) == mended
+def test_mended_model_survives_dict(complete_model):
+    assert Dsm.from_dict(complete_model.to_dict()) == complete_model
 
 
 @pytest.mark.parametrize(("name", "value"), [("water_spray", SPRAY), ("flow_leak", 0.2)])
-def test_term_explains_unseen_aircraft(plain, name, value):
+def test_term_explains_unseen_aircraft(plain_fleet, name, value):
     """Aircraft 3 is left out of every calibration; where nothing is missing, its residual is what no model explains."""
-    fleet = lacking_term(plain, name, value)
+    fleet = lacking_term(plain_fleet, name, value)
     taught = fleet.only("T-00", "T-01", "T-02")
     refitted = calibrate(taught.samples, taught.legs, taught.maintenance, (name,))
     assert refitted.terms[name] == pytest.approx(value, rel=0.3)
-    noise_model = calibrate(plain.only("T-00", "T-01", "T-02").samples, taught.legs, taught.maintenance)
-    noise = scatter(estimate_flights(plain.only("T-03").samples, noise_model))
+    noise_model = calibrate(plain_fleet.only("T-00", "T-01", "T-02").samples, taught.legs, taught.maintenance)
+    noise = scatter(estimate_flights(plain_fleet.only("T-03").samples, noise_model))
     plain_fit = calibrate(taught.samples, taught.legs, taught.maintenance)
     before, after = (scatter(estimate_flights(fleet.only("T-03").samples, m)) for m in (plain_fit, refitted))
     assert after < 0.7 * before
     assert after < 1.1 * noise
 
 
-def test_worn_packs_propose_same_term(sprayed, lacking):
+def test_worn_packs_propose_same_term(sprayed_fleet, incomplete_model):
     """Wear moves slowly: the left packs, half of their conductance gone, tell as much of the weather's doing."""
-    worn = estimate_flights(sprayed.samples, lacking).filter(pack=1)
-    assert propose(worn, lacking).filter("proposed")["term"].to_list() == ["water_spray"]
+    worn = estimate_flights(sprayed_fleet.samples, incomplete_model).filter(pack=1)
+    assert propose(worn, incomplete_model).filter("proposed")["term"].to_list() == ["water_spray"]
 
 
 @pytest.mark.parametrize(("flights", "value"), [(60, 0.0), (61, SPRAY)])
@@ -133,9 +133,9 @@ def test_accepted_coefficient_takes_three_rounds(monkeypatch):
     assert calibrate(None, None, None).terms == {}
 
 
-def test_few_flights_propose_nothing(sprayed, lacking):
-    few = estimate_flights(sprayed.samples.head(40), lacking)
-    proposals = propose(few, lacking)
+def test_few_flights_propose_nothing(sprayed_fleet, incomplete_model):
+    few = estimate_flights(sprayed_fleet.samples.head(40), incomplete_model)
+    proposals = propose(few, incomplete_model)
     assert not proposals["proposed"].any()
     assert proposals["value"].null_count() == len(TERMS)
-    assert propose(few.clear(), lacking)["n"].to_list() == [0] * len(TERMS)
+    assert propose(few.clear(), incomplete_model)["n"].to_list() == [0] * len(TERMS)

@@ -32,7 +32,7 @@ def level_one(fleet):
 
 
 @pytest.fixture(scope="module")
-def admitted(fleet, level_one):
+def second_verdicts(fleet, level_one):
     return admit_fleet(*level_one, fleet.maintenance, fleet.messages)
 
 
@@ -41,24 +41,24 @@ def norm(fleet, level_one) -> NominalBaseline:
     return learn_baseline(*level_one, fleet.maintenance, fleet.messages)
 
 
-def test_second_level_keeps_every_leg(level_one, admitted):
-    assert admitted.select(LEG).equals(level_one[0].select(LEG))
-    assert admitted.columns == level_one[0].columns
+def test_second_level_keeps_every_leg(level_one, second_verdicts):
+    assert second_verdicts.select(LEG).equals(level_one[0].select(LEG))
+    assert second_verdicts.columns == level_one[0].columns
 
 
-def test_second_level_keeps_first_verdicts(level_one, admitted):
+def test_second_level_keeps_first_verdicts(level_one, second_verdicts):
     rejected = level_one[0].with_row_index().filter(pl.col("reason") != "")
-    assert admitted["reason"].gather(rejected["index"]).to_list() == rejected["reason"].to_list()
+    assert second_verdicts["reason"].gather(rejected["index"]).to_list() == rejected["reason"].to_list()
 
 
-def test_second_level_rejects_for_reason(level_one, admitted):
-    assert {"MAINTENANCE", "MESSAGE"} <= set(admitted["reason"]) <= {"", *REASONS, *SECOND_LEVEL}
-    assert (admitted["admitted"] == (admitted["reason"] == "")).all()
-    assert admitted["admitted"].sum() < level_one[0]["admitted"].sum()
+def test_second_level_rejects_for_reason(level_one, second_verdicts):
+    assert {"MAINTENANCE", "MESSAGE"} <= set(second_verdicts["reason"]) <= {"", *REASONS, *SECOND_LEVEL}
+    assert (second_verdicts["admitted"] == (second_verdicts["reason"] == "")).all()
+    assert second_verdicts["admitted"].sum() < level_one[0]["admitted"].sum()
 
 
-def test_second_level_separates_sick_flights(fleet, admitted):
-    arrived = fleet.truth.filter("arrived").join(admitted.select(*KEY, "admitted"), on=KEY, how="left")
+def test_second_level_separates_sick_flights(fleet, second_verdicts):
+    arrived = fleet.truth.filter("arrived").join(second_verdicts.select(*KEY, "admitted"), on=KEY, how="left")
     assert arrived.filter("nominal")["admitted"].mean() >= 0.82
     assert arrived.filter("admitted")["contaminant"].mean() <= 0.05
 
@@ -70,13 +70,13 @@ def reasons_with_loss(fleet, level_one, legs: pl.DataFrame, loss: float) -> list
     return again.join(legs.select(LEG), on=LEG, how="semi")["reason"].to_list()
 
 
-def test_tracked_loss_rejects_leg(fleet, level_one, admitted):
-    sound = admitted.filter("admitted").head(3)
+def test_tracked_loss_rejects_leg(fleet, level_one, second_verdicts):
+    sound = second_verdicts.filter("admitted").head(3)
     assert reasons_with_loss(fleet, level_one, sound, 0.3) == ["HX_WORN"] * 3
 
 
-def test_tracked_soundness_admits_leg(fleet, level_one, admitted):
-    worn = admitted.filter(pl.col("reason") == "HX_WORN")
+def test_tracked_soundness_admits_leg(fleet, level_one, second_verdicts):
+    worn = second_verdicts.filter(pl.col("reason") == "HX_WORN")
     assert worn.height > 20
     assert set(reasons_with_loss(fleet, level_one, worn, 0.02)) <= {"", "OUTLIER"}
 
@@ -174,12 +174,12 @@ def test_norm_survives_json(norm):
         assert NominalBaseline.from_json(one.to_json()) == one
 
 
-def test_norm_judges_each_tail_alone(fleet, level_one, norm, admitted):
+def test_norm_judges_each_tail_alone(fleet, level_one, norm, second_verdicts):
     legs, samples = level_one
     for (tail,), own in legs.group_by("tail"):
         signs = leg_indicators(samples.filter(tail=tail), norm)
         alone = admit(norm, own, signs, fleet.maintenance, fleet.messages)
-        assert alone.equals(admitted.filter(tail=tail).select(alone.columns))
+        assert alone.equals(second_verdicts.filter(tail=tail).select(alone.columns))
 
 
 N = 30

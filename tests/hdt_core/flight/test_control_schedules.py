@@ -91,7 +91,7 @@ def samples() -> pl.DataFrame:
 
 
 @pytest.fixture(scope="module")
-def learned(samples) -> ControlSchedules:
+def schedules(samples) -> ControlSchedules:
     return learn_schedules(samples)
 
 
@@ -102,31 +102,31 @@ def delivery(samples) -> np.ndarray:
     return by_columns(altitude, flow**2, np.log(out_pa), np.zeros(samples.height), ALTITUDE_KNOTS_M)
 
 
-def test_outlet_schedule_is_least_squares(samples, learned):
+def test_outlet_schedule_is_least_squares(samples, schedules):
     x, y, flight = (samples[c].to_numpy() for c in ("tat_k", "hx_out_k", "flight_id"))
     outlet = by_columns(x, np.zeros(len(x)), y, flight, TAT_KNOTS_K)
-    assert learned.outlet.shapes["A"] == pytest.approx(outlet[:-1], abs=1e-4)
+    assert schedules.outlet.shapes["A"] == pytest.approx(outlet[:-1], abs=1e-4)
 
 
-def test_delivery_schedule_is_least_squares(learned, delivery):
-    assert learned.delivery.shapes["A"] == pytest.approx(delivery[:-1], abs=1e-5)
-    assert learned.delivery.gains["A"] == pytest.approx(delivery[-1], abs=1e-5)
+def test_delivery_schedule_is_least_squares(schedules, delivery):
+    assert schedules.delivery.shapes["A"] == pytest.approx(delivery[:-1], abs=1e-5)
+    assert schedules.delivery.gains["A"] == pytest.approx(delivery[-1], abs=1e-5)
 
 
-def test_delivery_level_is_median(samples, learned, delivery):
+def test_delivery_level_is_median(samples, schedules, delivery):
     scheduled = np.interp(samples["altitude_m"], ALTITUDE_KNOTS_M, delivery[:-1])
     scheduled = scheduled + delivery[-1] * samples["pack_flow_kg_s"].to_numpy() ** 2
     level = np.median(np.log(samples["cc_out_pa"].to_numpy()) - scheduled)
-    assert learned.delivery.levels["A/1"] == pytest.approx(level, abs=1e-5)
-    assert learned.delivery.levels[""] == learned.delivery.levels["A/1"]
+    assert schedules.delivery.levels["A/1"] == pytest.approx(level, abs=1e-5)
+    assert schedules.delivery.levels[""] == schedules.delivery.levels["A/1"]
 
 
-def test_highest_speed_is_unmet_limit(samples, learned):
-    assert learned.speed == SpeedLimit(np.sort(samples["cc_speed_rad_s"])[-11], at_limit=False)
+def test_highest_speed_is_unmet_limit(samples, schedules):
+    assert schedules.speed == SpeedLimit(np.sort(samples["cc_speed_rad_s"])[-11], at_limit=False)
 
 
-def test_schedules_survive_json(learned):
-    assert ControlSchedules.from_dict(json.loads(json.dumps(learned.to_dict()))) == learned
+def test_schedules_survive_json(schedules):
+    assert ControlSchedules.from_dict(json.loads(json.dumps(schedules.to_dict()))) == schedules
 
 
 def test_speed_limit_shows_in_pressure(samples):
@@ -180,9 +180,9 @@ def test_delivery_learns_from_running_cruise(samples, change):
     assert learn_schedules(odd).delivery == learn_schedules(samples.head(260)).delivery
 
 
-def test_unrecorded_speed_has_no_limit(samples, learned):
+def test_unrecorded_speed_has_no_limit(samples, schedules):
     without = learn_schedules(samples.with_columns(cc_speed_rad_s=pl.lit(None, pl.Float64)))
-    assert (without.speed, without.delivery) == (SpeedLimit(), learned.delivery)
+    assert (without.speed, without.delivery) == (SpeedLimit(), schedules.delivery)
 
 
 def test_ten_samples_give_no_schedule():
@@ -232,7 +232,7 @@ def test_invalid_speeds_do_not_count():
     assert speed_limit(speed, beyond) == SpeedLimit()
 
 
-def flown(rng: np.random.Generator, limit_rad_s: float) -> tuple[np.ndarray, np.ndarray]:
+def noisy_speeds(rng: np.random.Generator, limit_rad_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Speeds held below a limit, read with their noise, and how far the pressure is beyond its schedule."""
     needed_rad_s = 3500.0 + 330.0 * rng.standard_normal(40_000)
     limited = np.minimum(needed_rad_s, limit_rad_s)
@@ -242,7 +242,7 @@ def flown(rng: np.random.Generator, limit_rad_s: float) -> tuple[np.ndarray, np.
 
 @pytest.mark.parametrize("seed", range(3))
 def test_recovers_limit_from_noise(seed):
-    limit = speed_limit(*flown(np.random.default_rng(seed), 4400.0))
+    limit = speed_limit(*noisy_speeds(np.random.default_rng(seed), 4400.0))
     assert limit.at_limit
     assert limit.rad_s == pytest.approx(4400.0, rel=0.002)
-    assert not speed_limit(*flown(np.random.default_rng(seed), 9000.0)).at_limit
+    assert not speed_limit(*noisy_speeds(np.random.default_rng(seed), 9000.0)).at_limit

@@ -22,18 +22,18 @@ def one_tail(fleet):
 
 
 @pytest.fixture(scope="module")
-def judged(one_tail):
+def judgement(one_tail):
     return judge_legs(one_tail)
 
 
 @pytest.fixture(scope="module")
-def tail_legs(judged) -> pl.DataFrame:
-    return judged[0]
+def tail_legs(judgement) -> pl.DataFrame:
+    return judgement[0]
 
 
 @pytest.fixture(scope="module")
-def tail_samples(judged) -> pl.DataFrame:
-    return judged[1]
+def tail_samples(judgement) -> pl.DataFrame:
+    return judgement[1]
 
 
 def test_every_leg_is_judged_once(one_tail, tail_legs):
@@ -177,7 +177,7 @@ def test_gap_limit_is_twelve_percent(rows, n, reason):
 
 @pytest.mark.parametrize(("of_second", "codes"), [({"ram_out_k": None}, ["", ""]), ({}, ["SENSOR_MISSING", ""])])
 @pytest.mark.parametrize("rows", [17, 20, 24, 25, 26])
-def test_sensor_fitted_to_one_pack_is_missing(rows, of_second, codes):
+def test_sensor_of_one_pack_is_missing(rows, of_second, codes):
     assert reasons(leg(rows=rows, ram_out_k=None), leg(2, rows=rows, **of_second)) == codes
 
 

@@ -24,7 +24,7 @@ FLIGHTS = 40
 EACH = 8
 
 
-def flown(seed: int = 0) -> tuple[pl.DataFrame, pl.DataFrame]:
+def fly_legs(seed: int = 0) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Forty legs of eight samples whose outlet follows a law of the operating point, with a few strays."""
     rng = np.random.default_rng(seed)
     n = FLIGHTS * EACH
@@ -61,7 +61,7 @@ def terms(samples: pl.DataFrame) -> np.ndarray:
 @pytest.fixture(scope="module")
 def slopes() -> np.ndarray:
     """Of Huber's regression with an offset for every ten flights."""
-    samples, _ = flown()
+    samples, _ = fly_legs()
     rows = np.column_stack([terms(samples), ratio_ln(samples)])
     block = np.repeat(np.arange(FLIGHTS) // 10, EACH)
     off = np.concatenate([rows[block == b] - np.median(rows[block == b], axis=0) for b in range(4)])
@@ -75,14 +75,14 @@ def slopes() -> np.ndarray:
 
 
 def test_manifold_is_huber_regression(slopes):
-    samples, legs = flown()
+    samples, legs = fly_legs()
     law = learn_manifold(samples, legs)
     assert law.centre == pytest.approx(np.median(terms(samples), axis=0).tolist())
     assert law.slopes == pytest.approx(slopes.tolist(), rel=1e-6)
 
 
 def test_index_is_ratio_off_manifold(slopes):
-    samples, legs = flown()
+    samples, legs = fly_legs()
     law = learn_manifold(samples, legs)
     x = terms(samples)
     index = ratio_ln(samples) - (x - np.median(x, axis=0)) @ slopes
@@ -97,19 +97,19 @@ LAW = Manifold((0.0,) * len(TERMS), (0.0,) * len(TERMS), 0.02)
 
 @pytest.mark.parametrize(("n", "is_learned"), [(70, False), (71, True)])
 def test_manifold_needs_ten_samples_per_term(n, is_learned):
-    samples, legs = flown()
+    samples, legs = fly_legs()
     assert (learn_manifold(samples.head(n), legs) is not None) is is_learned
 
 
 def test_calm_record_has_least_noise():
-    samples, legs = flown()
+    samples, legs = fly_legs()
     calm = samples.with_columns(hx_out_k=pl.lit(300.0), tat_k=pl.lit(250.0))
     assert learn_manifold(calm, legs).noise == 0.01
 
 
 def index_of(law: Manifold = LAW, **changed: object) -> float | None:
     """Index of one sample whose streams differ by 150 K."""
-    sample = flown()[0].head(1).with_columns(hx_in_k=pl.lit(400.0), tat_k=pl.lit(250.0))
+    sample = fly_legs()[0].head(1).with_columns(hx_in_k=pl.lit(400.0), tat_k=pl.lit(250.0))
     return add_conductance_index(sample.with_columns(**changed), law)["conductance_index"][0]
 
 
@@ -132,7 +132,7 @@ def test_small_readings_are_bounded(term, least):
 
 def test_unrest_is_largest_running_mean():
     """In standard errors, over two to six samples."""
-    samples = flown(3)[0].head(2 * EACH)
+    samples = fly_legs(3)[0].head(2 * EACH)
     result = leg_conductance(samples, LAW).sort("flight_id")
     index = ratio_ln(samples).reshape(2, EACH)
     level = np.median(index, axis=1)

@@ -17,7 +17,7 @@ DESCENT_ENDS_S = 11759
 BY = ("tail",)
 
 
-def flown(altitude_m: np.ndarray, every_s: float = 1.0, **more: np.ndarray) -> pl.DataFrame:
+def record(altitude_m: np.ndarray, every_s: float = 1.0, **more: np.ndarray) -> pl.DataFrame:
     second = pl.duration(seconds=pl.int_range(altitude_m.size) * every_s)
     start = pl.lit(datetime(2024, 3, 1, tzinfo=UTC), pl.Datetime("us", "UTC"))
     signals = {"altitude_m": np.asarray(altitude_m, float), **more}
@@ -38,7 +38,7 @@ def phases_of(rows: pl.DataFrame) -> np.ndarray:
 
 
 def test_real_flight_agrees_with_openap(a320):
-    phase = phases_of(flown(a320))
+    phase = phases_of(record(a320))
     second = np.arange(phase.size)
     cruise = np.flatnonzero(phase == "cruise")
     assert (phase == openap_phases(second))[second < DESCENT_ENDS_S].mean() >= 0.97
@@ -48,18 +48,18 @@ def test_real_flight_agrees_with_openap(a320):
 
 def test_missing_altitudes_keep_cruise(a320):
     holed = np.where(np.random.default_rng(2).random(a320.size) < 0.05, np.nan, a320)
-    phase = phases_of(flown(holed).with_columns(pl.col("altitude_m").fill_nan(None)))
+    phase = phases_of(record(holed).with_columns(pl.col("altitude_m").fill_nan(None)))
     assert (phase[TOP_OF_CLIMB_S + 90 : TOP_OF_DESCENT_S - 90] == "cruise").all()
 
 
 def test_recorders_phase_code_is_ignored(a320):
-    wrong = flown(a320, phase_code=np.full(a320.size, "GR"))
-    assert (phases_of(wrong) == phases_of(flown(a320))).all()
+    wrong = record(a320, phase_code=np.full(a320.size, "GR"))
+    assert (phases_of(wrong) == phases_of(record(a320))).all()
 
 
 @pytest.mark.parametrize("every_s", [120, 240, 420])
 def test_snapshots_have_same_phases(a320, every_s):
-    phase = phases_of(flown(a320[::every_s], every_s))
+    phase = phases_of(record(a320[::every_s], every_s))
     second = np.arange(phase.size) * every_s
     clear = np.minimum(abs(second - TOP_OF_CLIMB_S), abs(second - TOP_OF_DESCENT_S)) > every_s
     assert (phase == openap_phases(second))[clear].all()
@@ -70,7 +70,7 @@ def test_manoeuvres_have_no_cruise(every_s):
     second = np.arange(0, 5400, every_s)
     weave = 6000.0 + 1500.0 * np.sin(2 * np.pi * second / 700.0)
     envelope = np.clip(np.minimum(second, 5400 - second) / 600.0, 0.0, 1.0)
-    assert "cruise" not in phases_of(flown(weave * envelope, every_s))
+    assert "cruise" not in phases_of(record(weave * envelope, every_s))
 
 
 def test_low_hold_is_no_cruise():
@@ -80,7 +80,7 @@ def test_low_hold_is_no_cruise():
         ("descent", np.arange(10_600, 2_400, -8.0)), ("descent", np.full(900, 2_400.0)),
         ("descent", np.arange(2_400, 0, -6.0)),
     )  # fmt: skip
-    phase = phases_of(flown(np.concatenate([altitude for _, altitude in legs])))
+    phase = phases_of(record(np.concatenate([altitude for _, altitude in legs])))
     ends = np.cumsum([altitude.size for _, altitude in legs])
     middle = (np.concatenate([[0], ends[:-1]]) + ends) // 2
     assert list(phase[middle]) == [name for name, _ in legs]
@@ -89,13 +89,13 @@ def test_low_hold_is_no_cruise():
 def test_low_mach_is_ground():
     altitude = np.concatenate([np.full(300, 100.0), np.arange(100, 9_000, 10.0), np.full(1200, 9_000.0)])
     mach = np.where(np.arange(altitude.size) < 300, 0.02, 0.6)
-    phase = phases_of(flown(altitude, mach=mach))
+    phase = phases_of(record(altitude, mach=mach))
     assert set(phase[:250]) == {"ground"}
     assert phase[-100] == "cruise"
 
 
 def phases(altitude_m: list[float], every_s: float = 120.0, **more: np.ndarray) -> list[str]:
-    return phases_of(flown(np.array(altitude_m), every_s, **more)).tolist()
+    return phases_of(record(np.array(altitude_m), every_s, **more)).tolist()
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_five_level_minutes_are_cruise(every_s, cruise):
 )
 def test_level_snapshots_climb_slowly(step_m, every_s, level):
     """Within 100 ft, or 300 ft a minute."""
-    phases = add_phases(flown(np.array([8e3, 8e3 + step_m]), every_s), by=BY)
+    phases = add_phases(record(np.array([8e3, 8e3 + step_m]), every_s), by=BY)
     assert phases["level"].to_list() == [level] * 2
     assert phases["climb_rate_m_s"].to_list() == pytest.approx([step_m / every_s] * 2)
 
@@ -126,13 +126,13 @@ def test_level_snapshots_climb_slowly(step_m, every_s, level):
 @pytest.mark.parametrize(("rate", "level"), [(1.52, True), (1.53, False)])
 def test_level_log_climbs_slowly(rate, level):
     """Below 300 ft a minute."""
-    phases = add_phases(flown(8e3 + rate * np.arange(200.0)), by=BY)
+    phases = add_phases(record(8e3 + rate * np.arange(200.0)), by=BY)
     assert phases["level"].to_list() == [level] * 200
 
 
 def test_log_climb_rate_spans_a_minute():
     bump = np.where(np.arange(200) < 100, 8e3, 8060.0)
-    rates = add_phases(flown(bump), by=BY)["climb_rate_m_s"]
+    rates = add_phases(record(bump), by=BY)["climb_rate_m_s"]
     assert rates.gather([69, 70, 129, 130]).to_list() == pytest.approx([0.0, 1.0, 1.0, 0.0])
 
 
@@ -140,7 +140,7 @@ def test_log_climb_rate_spans_a_minute():
 def test_ten_second_records_are_log(every_s, continuous):
     # sixty samples of a log are smoothed over thirty on either side, snapshots are not
     bump = np.where(np.arange(100) == 50, 8100.0, 8e3)
-    level = add_phases(flown(bump, every_s), by=BY)["level"].to_list()
+    level = add_phases(record(bump, every_s), by=BY)["level"].to_list()
     assert level[50] is continuous
 
 

@@ -16,7 +16,7 @@ NOISE = {
 }  # fmt: skip
 
 
-def recorded(n: int = 40, seed: int = 1) -> pl.DataFrame:
+def make_record(n: int = 40, seed: int = 1) -> pl.DataFrame:
     """Two packs in cruise after a climb, noise as sensors have it."""
     rng = np.random.default_rng(seed)
     share = np.clip(np.arange(n) / 8.0, 0.0, 1.0)
@@ -36,19 +36,19 @@ def screen(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 def test_sound_record_passes():
-    screened = screen(recorded())
-    assert screened.select(SIGNALS).equals(recorded().select(SIGNALS))
+    screened = screen(make_record())
+    assert screened.select(SIGNALS).equals(make_record().select(SIGNALS))
     assert screened.select(pl.sum_horizontal("n_out_of_range", "n_spikes", "n_frozen").sum()).item() == 0
 
 
 def test_lasting_step_is_no_spike():
     late = pl.col("time_utc").rank("dense") > 20
-    stepped = alter(recorded(), late, hx_out_k=pl.col("hx_out_k") + 25.0)
+    stepped = alter(make_record(), late, hx_out_k=pl.col("hx_out_k") + 25.0)
     assert screen(stepped)["hx_out_k"].null_count() == 0
 
 
 def test_empty_column_is_in_range():
-    without = recorded().with_columns(pl.lit(None, pl.Float64).alias("ram_out_k"))
+    without = make_record().with_columns(pl.lit(None, pl.Float64).alias("ram_out_k"))
     assert screen(without)["n_out_of_range"].sum() == 0
 
 
@@ -65,7 +65,7 @@ LIMIT = {name: tuple(map(float, limits)) for name, *limits in LINES}
 
 def read(signal: str, values: dict[int, float]) -> pl.DataFrame:
     """A record whose signal reads some values in some rows."""
-    rows = recorded()
+    rows = make_record()
     column = rows[signal].scatter(list(values), list(values.values()))
     return screen(rows.with_columns(column))
 
@@ -112,7 +112,7 @@ def test_repeated_noisy_reading_is_frozen(signal, n, share, every_s, frozen):
     """Six times over two minutes."""
     high = LIMIT[signal][1]
     later = datetime(2024, 3, 1, tzinfo=UTC) + pl.int_range(pl.len()).over("pack") * timedelta(seconds=every_s)
-    calm = recorded().with_columns(0.3 * high + 1e-3 * pl.col(signal), time_utc=later)
+    calm = make_record().with_columns(0.3 * high + 1e-3 * pl.col(signal), time_utc=later)
     stuck = alter(calm, pl.int_range(pl.len()).is_between(50, 49 + n), **{signal: share * high})
     assert (screen(stuck)["n_frozen"].sum() == n) is frozen
 
@@ -126,7 +126,7 @@ def test_frozen_limit_is_as_declared(signal):
 @pytest.mark.parametrize(("beyond_m", "n"), [(0.0, 0), (1.0, 10)])
 def test_frozen_air_reading_ignores_altitude(signal, beyond_m, n):
     rise_m = FROZEN_RISE_M[signal] + beyond_m
-    falling = recorded().with_columns(altitude_m=10_000.0 - rise_m * (pl.int_range(pl.len()) - 60).clip(0, 9) / 9.0)
+    falling = make_record().with_columns(altitude_m=10_000.0 - rise_m * (pl.int_range(pl.len()) - 60).clip(0, 9) / 9.0)
     stuck = alter(falling, pl.int_range(pl.len()).is_between(60, 69), **{signal: CRUISE[signal]})
     assert screen(stuck)["n_frozen"].sum() == n
 

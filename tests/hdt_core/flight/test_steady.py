@@ -128,18 +128,18 @@ def legs(n: int = 60) -> pl.DataFrame:
     return number_flights(typed.with_columns(pl.lit("x").alias("flight_id")))
 
 
-def worked(component: str, action: str = "REPLACED", on: date = date(2024, 3, 31)) -> pl.DataFrame:
+def work_log(component: str, action: str = "REPLACED", on: date = date(2024, 3, 31)) -> pl.DataFrame:
     own = {"operator": ["AQX"], "tail": "A", "done_on": on, "pack": 2}
     return pl.DataFrame(own | {"component": component, "action": action})
 
 
-def warned(code: str) -> pl.DataFrame:
+def message_log(code: str) -> pl.DataFrame:
     at = START + timedelta(days=30, hours=1)
     return pl.DataFrame({"operator": ["AQX"], "tail": "A", "message_time": at, "pack": 1, "code": code})
 
 
-NO_WORK = worked("HX").clear()
-NO_MESSAGE = warned("21-52-HXTEMP").clear()
+NO_WORK = work_log("HX").clear()
+NO_MESSAGE = message_log("21-52-HXTEMP").clear()
 
 
 def flights_near(work: pl.DataFrame = NO_WORK, message: pl.DataFrame = NO_MESSAGE) -> list[int]:
@@ -156,18 +156,18 @@ def window(about: int, reach: tuple[int, int]) -> list[int]:
 @pytest.mark.parametrize("component", AROUND_MAINTENANCE)
 def test_maintenance_window_is_as_declared(component):
     """Flight 29 left on the 30th of March, the last before the entry."""
-    assert flights_near(worked(component)) == window(29, AROUND_MAINTENANCE[component])
+    assert flights_near(work_log(component)) == window(29, AROUND_MAINTENANCE[component])
 
 
 @pytest.mark.parametrize("component", AROUND_MAINTENANCE)
 def test_maintenance_window_is_of_pack(component):
-    flagged = flag_windows(legs(), worked(component), NO_MESSAGE).filter("near_maintenance")
+    flagged = flag_windows(legs(), work_log(component), NO_MESSAGE).filter("near_maintenance")
     assert flagged.select("tail", "pack").unique().rows() == [("A", 2)]
 
 
 def test_window_opens_at_time_of_work():
     """The flight of six o'clock had left when the work was done at noon."""
-    noon = worked("HX").with_columns(done_at=pl.lit(datetime(2024, 3, 31, 12, tzinfo=UTC)))
+    noon = work_log("HX").with_columns(done_at=pl.lit(datetime(2024, 3, 31, 12, tzinfo=UTC)))
     assert flights_near(noon) == window(30, AROUND_MAINTENANCE["HX"])
 
 
@@ -177,23 +177,23 @@ def test_packs_share_flight_numbers():
 
 
 def test_other_message_opens_no_window():
-    assert flights_near(message=warned("21-61-TRIM")) == []
+    assert flights_near(message=message_log("21-61-TRIM")) == []
 
 
 @pytest.mark.parametrize("action", ["INSPECTED", "CLEANED"])
 def test_other_work_opens_no_window(action):
-    assert flights_near(worked("HX", action)) == []
+    assert flights_near(work_log("HX", action)) == []
 
 
 @pytest.mark.parametrize("code", ["21-52-HXTEMP", "21-51-CCFLOW"])
 def test_message_opens_window(code):
     """Of exchanger or compressor."""
-    assert flights_near(message=warned(code)) == window(30, AROUND_MESSAGE[code[:5]])
+    assert flights_near(message=message_log(code)) == window(30, AROUND_MESSAGE[code[:5]])
 
 
 @pytest.mark.parametrize("on", [date(2023, 1, 1), date(2025, 1, 1)])
 def test_entry_outside_record_flags_nothing(on):
-    flagged = flag_windows(legs(), worked("HX", on=on), NO_MESSAGE)
+    flagged = flag_windows(legs(), work_log("HX", on=on), NO_MESSAGE)
     assert (flagged.height, flagged["near_maintenance"].sum()) == (legs().height, 0)
 
 
@@ -217,7 +217,7 @@ def test_baseline_grows_by_milestones(n_flights, reached):
 
 @pytest.mark.parametrize(("days", "reached"), [(21, True), (22, False)])
 def test_entry_reaches_back_three_weeks(days, reached):
-    assert bool(flights_near(worked("HX", on=(START + timedelta(days=59 + days)).date()))) == reached
+    assert bool(flights_near(work_log("HX", on=(START + timedelta(days=59 + days)).date()))) == reached
 
 
 HXT = components()["HXT"]

@@ -45,7 +45,7 @@ def describe_track(
 
 
 @pytest.fixture
-def replaced(nothing_done) -> pl.DataFrame:
+def replacement_log(nothing_done) -> pl.DataFrame:
     row = {"operator": "TST", "tail": "T-AAA", "pack": 1, "done_on": date(2024, 3, 15), "component": "HX"}
     entry = row | {"action": "REPLACED", "finding": "FOULED"}
     return pl.concat([nothing_done, pl.DataFrame([entry], schema=nothing_done.schema)])
@@ -95,23 +95,23 @@ def late_step(loss: np.ndarray, k: int) -> float:
 
 
 @pytest.fixture(params=[-0.003, 0.002, 0.006])
-def stepped(request) -> np.ndarray:
+def stepped_loss(request) -> np.ndarray:
     """A loss with a trend, noise and a step."""
     noise = np.random.default_rng(3).normal(0.0, 0.01, 60)
     return request.param * np.arange(60.0) + noise + 0.1 * (np.arange(60) >= 45)
 
 
-def test_steps_by_hand(nothing_done, stepped):
+def test_steps_by_hand(nothing_done, stepped_loss):
     """From four flights before the last three on."""
-    step = describe(stepped, nothing_done)["hx_fouling_step_3"].to_list()
+    step = describe(stepped_loss, nothing_done)["hx_fouling_step_3"].to_list()
     assert step[:6] == [None] * 6
-    assert step[6:] == pytest.approx([late_step(stepped, k) for k in range(6, 60)], abs=1e-9)
+    assert step[6:] == pytest.approx([late_step(stepped_loss, k) for k in range(6, 60)], abs=1e-9)
 
 
-def test_jumps_by_hand(nothing_done, stepped):
-    jump = describe(stepped, nothing_done)["hx_fouling_jump_10"].to_list()
+def test_jumps_by_hand(nothing_done, stepped_loss):
+    jump = describe(stepped_loss, nothing_done)["hx_fouling_jump_10"].to_list()
     assert jump[:10] == [None] * 10
-    assert jump[10:] == pytest.approx((stepped[10:] - stepped[:-10]).tolist())
+    assert jump[10:] == pytest.approx((stepped_loss[10:] - stepped_loss[:-10]).tolist())
 
 
 def test_step_needs_two_of_three_flights(nothing_done):
@@ -219,37 +219,37 @@ def test_no_flights_have_no_features(nothing_done):
     assert describe_track(health(np.zeros(1)).clear(), nothing_done).height == 0
 
 
-def test_new_unit_starts_new_life(replaced):
+def test_new_unit_starts_new_life(replacement_log):
     rows = legs_of(health(np.zeros(60)))
-    out = since_maintenance(rows.with_columns(pl.lit(0).alias("flight_index")), replaced)
+    out = since_maintenance(rows.with_columns(pl.lit(0).alias("flight_index")), replacement_log)
     assert out["hx_life"].to_list() == [0] * 45 + [1] * 15
 
 
 @pytest.fixture
-def renewed(replaced) -> pl.DataFrame:
+def renewed_features(replacement_log) -> pl.DataFrame:
     """Features of a pack whose unit was replaced after forty-five flights."""
-    return describe(np.where(np.arange(90) < 45, 0.3, 0.0) + 0.001 * np.arange(90), replaced)
+    return describe(np.where(np.arange(90) < 45, 0.3, 0.0) + 0.001 * np.arange(90), replacement_log)
 
 
-def test_age_counts_from_replacement(renewed):
-    assert renewed["flights_since_replacement"].to_list() == [None] * 45 + list(range(45))
+def test_age_counts_from_replacement(renewed_features):
+    assert renewed_features["flights_since_replacement"].to_list() == [None] * 45 + list(range(45))
 
 
-def test_slope_ends_at_replacement(renewed):
-    assert renewed["hx_fouling_slope_100_per_flight"][-1] == pytest.approx(0.001, rel=1e-6)
+def test_slope_ends_at_replacement(renewed_features):
+    assert renewed_features["hx_fouling_slope_100_per_flight"][-1] == pytest.approx(0.001, rel=1e-6)
 
 
-def test_features_ignore_later_flights(replaced):
+def test_features_ignore_later_flights(replacement_log):
     loss = np.cumsum(np.random.default_rng(1).normal(0.002, 0.005, 90))
     long = pl.concat([health(loss), health(loss[::-1].copy(), pack=2)])
     early = pl.col("departed_at") < START + timedelta(days=20)
-    whole, part = (describe_track(rows, replaced) for rows in (long, long.filter(early)))
+    whole, part = (describe_track(rows, replacement_log) for rows in (long, long.filter(early)))
     assert_frame_equal(whole.filter(early), part, check_exact=False, rel_tol=1e-9, abs_tol=1e-9)
 
 
-def test_age_of_first_unit_is_unknown(replaced):
+def test_age_of_first_unit_is_unknown(replacement_log):
     """Its replacement is in the log, long before the first flight."""
-    out = describe(np.zeros(9), replaced.with_columns(done_on=pl.lit(date(1999, 1, 1))))
+    out = describe(np.zeros(9), replacement_log.with_columns(done_on=pl.lit(date(1999, 1, 1))))
     assert out["flights_since_replacement"].null_count() == 9
 
 

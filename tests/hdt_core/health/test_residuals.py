@@ -31,7 +31,7 @@ def model(fly, nothing_done) -> Dsm:
 
 
 @pytest.fixture(scope="module")
-def flown(fly, model) -> pl.DataFrame:
+def model_samples(fly, model) -> pl.DataFrame:
     """Samples that obey the model: pack 1 as built, pack 2 with a fifth of its conductance lost, no sensor errors."""
     samples = fly(6).with_columns(monitored=pl.col("phase") == "cruise", ram_door_open=pl.lit(0.4))
     signals = {n: samples[n].to_numpy().astype(float) for n in (*hx.SIGNALS, "ram_out_k")}
@@ -44,13 +44,13 @@ def flown(fly, model) -> pl.DataFrame:
 
 
 @pytest.fixture(scope="module")
-def twin(flown, model) -> pl.DataFrame:
-    return estimate_flights(flown, model)
+def twin(model_samples, model) -> pl.DataFrame:
+    return estimate_flights(model_samples, model)
 
 
 @pytest.fixture(scope="module")
-def residual_rows(flown, twin, model) -> pl.DataFrame:
-    return residuals(flown, twin, model)
+def residual_rows(model_samples, twin, model) -> pl.DataFrame:
+    return residuals(model_samples, twin, model)
 
 
 def means(residual_rows: pl.DataFrame, signal: str, kind: str, pack: int) -> np.ndarray:
@@ -85,8 +85,8 @@ def test_wear_leaves_model_not_twin(residual_rows):
     assert means(residual_rows, "ram_out_k", "sensor_minus_dsm", 2).max() < -1.0
 
 
-def test_virtual_sensors_obey_heat_balance(flown, twin):
-    measured = flown.filter("monitored").group_by(KEY).agg(pl.col("ram_out_k").median())
+def test_virtual_sensors_obey_heat_balance(model_samples, twin):
+    measured = model_samples.filter("monitored").group_by(KEY).agg(pl.col("ram_out_k").median())
     both = virtual_sensors(twin).join(measured, on=KEY)
     np.testing.assert_allclose(both["ram_outlet_k"], both["ram_out_k"], atol=0.3)
     np.testing.assert_allclose(both["ram_flow_loss"], 0.0, atol=1e-3)

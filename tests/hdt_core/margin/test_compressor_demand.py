@@ -145,8 +145,8 @@ def test_hot_high_demand_by_hand(dsm, laws, flight, limit_rad_s):
     warmer_pa = at["inlet_pa"] * air["total_pressure_pa"] / at["total_pressure_pa"]
     inlet = np.array([at["inlet_k"] + warmer_k]), np.array([warmer_pa])
     there = pl.DataFrame({"altitude_m": [12_497.0]})
-    asked = [(pressure_ln(there, s * at["pack_flow_kg_s"]), s * flow) for s in FLOWS]
-    critical = [least_ln_diameter(*inlet, *one, limit_rad_s).item() for one in asked]
+    demands = [(pressure_ln(there, s * at["pack_flow_kg_s"]), s * flow) for s in FLOWS]
+    critical = [least_ln_diameter(*inlet, *one, limit_rad_s).item() for one in demands]
     assert [row[n] for n in CRITICAL_DIAMETER["hot_high"]] == pytest.approx(critical, abs=1e-5)
     assert row["cc_widest_share_hot_high"] == pytest.approx(widest_kg_s(*inlet, limit_rad_s) / flow, rel=1e-5)
 
