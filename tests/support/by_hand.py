@@ -43,6 +43,13 @@ def flights(n: int, *, tail: str = "T-1", pack: int = 1, **columns: Any) -> pl.D
     ).with_columns(**values)  # fmt: skip
 
 
+def samples_of(rows: pl.DataFrame, n: int) -> pl.DataFrame:
+    """So many samples of each flight, a minute apart."""
+    first = rows.rename({"departed_at": "time_utc"}).drop("status")
+    parts = [first.with_columns(pl.col("time_utc") + pl.duration(minutes=k)) for k in range(n)]
+    return pl.concat(parts).sort("time_utc")
+
+
 def log(*entries: tuple[str, int, str, str, int]) -> pl.DataFrame:
     """Entries of a log: tail, pack, component, action, days after the start."""
     schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String}

@@ -191,42 +191,40 @@ def test_least_squares_takes_200_steps():
     assert (NonlinearLeastSquares().max_steps, NonlinearLeastSquares().name) == (200, "nls")
 
 
+DIAGONAL = [[4.0, 0.0], [0.0, 9.0]]
+OPEN = [[-9, 9]] * 2
+
+
 @pytest.mark.parametrize(
-    ("normal", "gradient", "theta", "bounds", "distance"),
+    ("normal", "gradient", "bounds", "distance"),
     [
-        ([[1.0, 1.0], [1.0, 1.0]], [1.0, 1.0], [0, 0], [[-9, 9]] * 2, 1.0),  # one direction is unseen
-        ([[4.0, 1.0], [1.0, 2.0]], [1.0, -0.5], [0, 0], [[-9, 9]] * 2, np.sqrt(4.0 / 7.0)),  # none, and no bound near
+        ([[1.0, 1.0], [1.0, 1.0]], [1.0, 1.0], OPEN, 1.0),  # one direction is unseen
+        ([[4.0, 1.0], [1.0, 2.0]], [1.0, -0.5], OPEN, np.sqrt(4.0 / 7.0)),  # none, and no bound near
         # nor is one with less than 1e-14 of the largest eigenvalue; with more it is followed to the bounds: 2 (9 + 9)
-        *(
-            ([[1.0, 1.0 - gap], [1.0 - gap, 1.0]], [1.0, -1.0], [0, 0], [[-9, 9]] * 2, d)
-            for gap, d in ((1.9e-14, 0.0), (2.1e-14, 6.0))
-        ),
-        ([[4.0, 0.0], [0.0, 9.0]], [1.0, -3.0], [0, 0], [[-9, 9], [-9, 0]], 0.5),  # pressed against the upper bound
-        ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-9, 9], [-9, 0]], np.sqrt(1.25)),
-        ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-9, 9], [0, 0]], 0.5),  # held
-        ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[0, 0], [0, 0]], 0.0),
-        ([[4.0, 0.0], [0.0, 9.0]], [np.inf, 3.0], [0, 0], [[-9, 9]] * 2, np.inf),
+        *(([[1.0, 1.0 - gap], [1.0 - gap, 1.0]], [1.0, -1.0], OPEN, d) for gap, d in ((1.9e-14, 0.0), (2.1e-14, 6.0))),
+        (DIAGONAL, [1.0, -3.0], [[-9, 9], [-9, 0]], 0.5),  # pressed against the upper bound
+        (DIAGONAL, [1.0, 3.0], [[-9, 9], [-9, 0]], np.sqrt(1.25)),
+        (DIAGONAL, [1.0, 3.0], [[-9, 9], [0, 0]], 0.5),  # held
+        (DIAGONAL, [1.0, 3.0], [[0, 0], [0, 0]], 0.0),
+        (DIAGONAL, [np.inf, 3.0], OPEN, np.inf),
         # on its bound a parameter is held by a gradient outward or none, and leaves it by any inward
-        ([[1.0, 0.5], [0.5, 1.0]], [0.0, 1.0], [0, 0], [[0, 9], [-9, 9]], 1.0),
-        ([[1.0, 0.5], [0.5, 1.0]], [0.0, -1.0], [0, 0], [[-9, 0], [-9, 9]], 1.0),
+        ([[1.0, 0.5], [0.5, 1.0]], [0.0, 1.0], [[0, 9], [-9, 9]], 1.0),
+        ([[1.0, 0.5], [0.5, 1.0]], [0.0, -1.0], [[-9, 0], [-9, 9]], 1.0),
         *(
-            ([[4.0, 0.0], [0.0, 9.0]], [g, 3.0], [0, 0], [[-9 * (g > 0) * m, 9], [-9, 9]], d)
+            (DIAGONAL, [g, 3.0], [[-9 * (g > 0) * m, 9], [-9, 9]], d)
             for g, m, d in ((-0.5, 1, np.sqrt(1.0625)), (0.5, 0, 1.0))
         ),
-        *(
-            ([[4.0, 0.0], [0.0, 9.0]], [g, 3.0], [0, 0], [[-9, 0], [-9, 9]], d)
-            for g, d in ((0.5, np.sqrt(1.0625)), (-0.5, 1.0))
-        ),
+        *((DIAGONAL, [g, 3.0], [[-9, 0], [-9, 9]], d) for g, d in ((0.5, np.sqrt(1.0625)), (-0.5, 1.0))),
         # beyond both lower, or both upper bounds: 2 (0.1 + 0.3) - (0.04 + 0.09)
-        ([[4.0, 0.0], [0.0, 9.0]], [1.0, 3.0], [0, 0], [[-0.1, 9]] * 2, np.sqrt(0.67)),
-        ([[4.0, 0.0], [0.0, 9.0]], [-1.0, -3.0], [0, 0], [[-9, 0.1]] * 2, np.sqrt(0.67)),
+        (DIAGONAL, [1.0, 3.0], [[-0.1, 9]] * 2, np.sqrt(0.67)),
+        (DIAGONAL, [-1.0, -3.0], [[-9, 0.1]] * 2, np.sqrt(0.67)),
         # the optimum at (-1, 1) is outside; the corner (-0.5, 0.5) is the nearest to it
-        ([[1.0, 0.9], [0.9, 1.0]], [0.1, -0.1], [0, 0], [[-0.5, 0.5]] * 2, np.sqrt(0.15)),
-        ([[4.0, 0.0], [0.0, 0.0]], [1.0, 0.0], [0, 0], [[-9, 9]] * 2, 0.5),  # no information at all on the second
+        ([[1.0, 0.9], [0.9, 1.0]], [0.1, -0.1], [[-0.5, 0.5]] * 2, np.sqrt(0.15)),
+        ([[4.0, 0.0], [0.0, 0.0]], [1.0, 0.0], OPEN, 0.5),  # no information at all on the second
     ],
 )
-def test_distance_to_optimum_within_bounds(normal, gradient, theta, bounds, distance):
-    at = Point(np.array(theta, float), 1.0, np.array(gradient), np.array(normal))
+def test_distance_to_optimum_within_bounds(normal, gradient, bounds, distance):
+    at = Point(np.zeros(2), 1.0, np.array(gradient), np.array(normal))
     assert distance_to_optimum(at, np.array(bounds, float)) == pytest.approx(distance)
 
 

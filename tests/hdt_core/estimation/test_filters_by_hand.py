@@ -264,6 +264,7 @@ def test_drifting_problem_is_not_compiled(estimator, points, passes, off, serves
     assert estimator.estimate(moving).innovations is not None
 
 
+NONFINITE = [Belief(np.array([np.nan, 0.0]), np.eye(2)), Belief(np.zeros(2), np.diag([np.inf, 1.0]))]
 POINTS = MerweScaledSigmaPoints(2, 1.0, 0.0, 0.0, sqrt_method=upper_root)
 BELIEF = Belief(np.array([1.5, -1.0]), np.diag([0.25, 0.09]))
 FREE = np.full(2, np.inf)
@@ -290,8 +291,7 @@ def test_exact_belief_has_sigma_points():
 @pytest.mark.parametrize(
     ("belief", "scale"),
     [
-        (Belief(np.array([np.nan, 0.0]), np.eye(2)), 1.0),
-        (Belief(np.zeros(2), np.diag([np.inf, 1.0])), 1.0),
+        *((belief, 1.0) for belief in NONFINITE),
         (BELIEF, np.inf),
     ],
     ids=["mean", "covariance", "function"],
@@ -358,9 +358,7 @@ def report_belief(belief: Belief, status: str) -> Estimate:
     return report(line(), belief, status, 7, path=np.zeros((12, 2)), path_sd=np.ones((12, 2)), method="m")
 
 
-@pytest.mark.parametrize(
-    "belief", [Belief(np.array([np.nan, 0.0]), np.eye(2)), Belief(np.zeros(2), np.diag([np.inf, 1.0]))]
-)
+@pytest.mark.parametrize("belief", NONFINITE)
 def test_nonfinite_report_diverges(belief):
     result = report_belief(belief, "converged")
     assert (result.status, result.n_evals, result.method) == ("diverged", 7, "m")

@@ -166,6 +166,9 @@ def test_last_sample_is_smoothed_as_filtered(method):
     np.testing.assert_allclose(alone.cov, filtered.covs[0], atol=1e-12)
 
 
+each_filter = pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)
+
+
 def regression_problem():
     rng = np.random.default_rng(8)
     slope = rng.normal(size=(60, 2))
@@ -181,7 +184,7 @@ def regression_problem():
     )
 
 
-@pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)
+@each_filter
 def test_linear_filter_equals_least_squares(estimator):
     slope, problem = regression_problem()
     information = slope.T @ slope / 0.04 + np.linalg.inv(problem.prior.cov)
@@ -232,14 +235,14 @@ def test_zero_variance_has_a_root():
     np.testing.assert_allclose(root.T @ root, np.diag([0.0, 4.0]), atol=1e-9)
 
 
-@pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)
+@each_filter
 def test_flat_prior_recovers_parameters(estimator):
     _, problem = regression_problem()
     estimate = estimator.estimate(problem.with_prior(unknown(np.zeros(2))))
     np.testing.assert_allclose(estimate.belief.mean, [1.5, -0.7], atol=0.1)
 
 
-@pytest.mark.parametrize("estimator", [ExtendedKalman(), UnscentedKalman()], ids=lambda e: e.name)
+@each_filter
 @pytest.mark.parametrize("sigma", [1e-12, 1e-3])
 def test_filters_survive_tiny_noise(estimator, sigma):
     time = np.linspace(0.0, 5.0, 200)

@@ -4,10 +4,12 @@ import json
 from dataclasses import asdict, replace
 from datetime import UTC, date, datetime, timedelta
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+from by_hand import START, flights
 
 from hdt_core.components import LINEAR, components
 from hdt_core.margin.first_passage import wear_rate
@@ -96,11 +98,9 @@ def test_constant_interval_score_by_hand():
     assert constant_interval_score(t, 0.2) == pytest.approx(np.mean(8.0 + 10 * missed))
 
 
-def fly(n: int, tail: str = "T-1", first: datetime = datetime(2024, 1, 1, 6, tzinfo=UTC), **columns) -> pl.DataFrame:
-    at = [first + timedelta(k) for k in range(n)]
-    frame = pl.DataFrame({"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": at})
-    named = frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
-    return named.with_columns(**{c: pl.Series(v) if isinstance(v, list) else pl.lit(v) for c, v in columns.items()})
+def fly(n: int, tail: str = "T-1", first: datetime = START, **columns: Any) -> pl.DataFrame:
+    """A flight a day."""
+    return flights(n, tail=tail, operator="AAA", departed_at=[first + timedelta(k) for k in range(n)], **columns)
 
 
 def record(*frames: pl.DataFrame, messages: list[tuple] = [], entries: list[tuple] = []) -> FleetRecord:  # noqa: B006

@@ -1,11 +1,13 @@
 """Lives, limits, tracks and scores of a few flights that can be counted on paper."""
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+from by_hand import START, flights
 
 from benchmarks.prognosis import calibration
 from hdt_core.components import LINEAR, Limit, components
@@ -19,32 +21,31 @@ from hdt_core.prognosis.hazard import quantile
 from hdt_core.prognosis.metrics import join_outcomes, score_prognoses
 from hdt_core.prognosis.unit_lives import episodes, flight_rows, life_table, with_lives
 
-START = datetime(2024, 1, 1, 6, tzinfo=UTC)
 HX_CODE = "21-52-HXTEMP"
 CC_CODE = "21-51-CCFLOW"
 
 
 def fly(n: int, tail: str = "T-1", **columns: object) -> pl.DataFrame:
     """A flight a day of pack 1."""
-    at = [START + timedelta(k) for k in range(n)]
-    frame = pl.DataFrame({"flight_id": [f"{tail}_{k:03d}" for k in range(n)], "departed_at": at})
-    named = frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
-    return named.with_columns(**{c: pl.Series(v) if isinstance(v, list) else pl.lit(v) for c, v in columns.items()})
+    return flights(n, tail=tail, **({"operator": "AAA"} | columns))
+
+
+def of_pack(tail: str, rows: list[tuple], schema: dict[str, Any]) -> pl.DataFrame:
+    """Rows of pack 1."""
+    frame = pl.DataFrame(rows, schema=schema, orient="row")
+    return frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
 
 
 def faults_on(*rows: tuple[int, str], tail: str = "T-1") -> pl.DataFrame:
     """Messages: on which flight, which code."""
     schema = {"flight_id": pl.String, "code": pl.String, "message_time": pl.Datetime("us", "UTC")}
-    records = [(f"{tail}_{k:03d}", code, START + timedelta(k)) for k, code in rows]
-    frame = pl.DataFrame(records, schema=schema, orient="row")
-    return frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
+    return of_pack(tail, [(f"{tail}_{k:03d}", code, START + timedelta(k)) for k, code in rows], schema)
 
 
 def log(*rows: tuple[int, str, str, str], tail: str = "T-1") -> pl.DataFrame:
     """Entries: on the day of which flight, component, action, finding."""
     schema = {"done_on": pl.Date, "component": pl.String, "action": pl.String, "finding": pl.String}
-    frame = pl.DataFrame([((START + timedelta(k)).date(), *row) for k, *row in rows], schema=schema, orient="row")
-    return frame.with_columns(operator=pl.lit("AAA"), tail=pl.lit(tail), pack=pl.lit(1, pl.Int32))
+    return of_pack(tail, [((START + timedelta(k)).date(), *row) for k, *row in rows], schema)
 
 
 def list_lives(messages: pl.DataFrame, entries: pl.DataFrame, n: int = 100) -> list[tuple]:

@@ -160,7 +160,7 @@ def test_track_needs_a_flight():
         track_component(flights(0, valve_loss=0.1), COMPONENT, log())
 
 
-HXT = components()["HXT"]
+COOLER = components()["HXT"]
 
 
 def read(values: list[float | None], **changes: object) -> dict[str, object]:
@@ -174,7 +174,7 @@ def read(values: list[float | None], **changes: object) -> dict[str, object]:
     }, schema_overrides={"hot_out_k": pl.Float64}).with_columns(
         operator=pl.lit("TST"), tail=pl.lit("T-1"), flight_id=pl.lit("F"), pack=pl.lit(1, pl.Int32)
     )  # fmt: skip
-    return component_readings(samples, replace(HXT, readings=(reading,))).row(0, named=True)
+    return component_readings(samples, replace(COOLER, readings=(reading,))).row(0, named=True)
 
 
 def test_reading_is_mean_of_samples():
@@ -210,11 +210,9 @@ def test_reading_status_follows_samples(values, where, status):
     assert (row["value"] is None) == (status in ("few_samples", "not_recorded", "off_nominal"))
 
 
-COOLER = components()["HXT"]
-SPRAYED = components()["HXT"].with_terms(["water_spray"])
+SPRAYED = COOLER.with_terms(["water_spray"])
 TRUE = {"hxt_ntu": 1.75, "hxt_exponent": 0.3, "hxt_water_spray": 0.4}
-NO_WORK = pl.DataFrame(schema={"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String,
-                               "action": pl.String, "done_on": pl.Date})  # fmt: skip
+NO_WORK = log()
 SIGNALS = ["hot_in_k", "hot_out_k", "tat_k", "altitude_m", "mach"]
 
 
@@ -274,7 +272,7 @@ def test_logged_unit_counts_as_new():
     work = pl.DataFrame([("AAA", "T-1", 1, "HXT", "REPLACED", date(2024, 2, 5))], NO_WORK.schema, orient="row")
     samples = component_samples(signals, SPRAYED)
     legs, design = commission(signals, work, SPRAYED)
-    healths = (unit_health(samples, legs, design, log, SPRAYED)[1].health for log in (work, NO_WORK))
+    healths = (unit_health(samples, legs, design, entries, SPRAYED)[1].health for entries in (work, NO_WORK))
     new, old = (health.sort("departed_at")[-1] for health in healths)
     assert new["status"].item() == old["status"].item() == "ok"
     assert new["value"].item() < 0.025

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import polars as pl
 import pytest
-from by_hand import flights, log
+from by_hand import flights, log, samples_of
 
 from hdt_core.calibration.component_fit import MIN_SAMPLES, declared_estimator, flight_by_flight, recorded_outputs
 from hdt_core.components import Component, Limit
@@ -43,9 +43,7 @@ PART = Component("PMP", "pump", "lift lost", PUMP, "pmp_loss", Limit(0.3, 0.05, 
 
 def samples(lift: list[float], each: int = 4, speed: float = 1.0) -> pl.DataFrame:
     """A flight for each lift, of so many samples."""
-    many = flights(len(lift), lift=lift).rename({"departed_at": "time_utc"}).drop("status")
-    rows = pl.concat([many.with_columns(pl.col("time_utc") + pl.duration(minutes=k)) for k in range(each)])
-    return rows.with_columns(speed=pl.lit(speed)).sort("time_utc")
+    return samples_of(flights(len(lift), lift=lift, speed=speed), each)
 
 
 def test_flights_start_from_last_converged():

@@ -46,6 +46,9 @@ WASHED = 50
 UNIT_SD = 0.05
 
 
+SHIP = {"operator": pl.lit("NVY"), "tail": pl.format("S-{}", "ship"), "pack": pl.lit(1, pl.Int32)}
+
+
 def worn(rng: np.random.Generator, ship: int) -> np.ndarray:
     """Wear of one ship's compressor: odd ones are replaced, two in four washed, and every other wash goes unlogged."""
     wear = np.cumsum(np.full(VOYAGES, rng.gamma(4.0, 0.25) * 0.288 / 300)) + (0.0, 0.0, 0.04, 0.08)[ship // 2]
@@ -66,7 +69,7 @@ def record(rng: np.random.Generator, wear: np.ndarray, offset: np.ndarray) -> pl
                     nav_loss=1.0 - np.exp(-wear[..., None])) + rng.normal(0.0, 1.0, shape)  # fmt: skip
     ship, voyage, sample = (i.ravel() for i in np.indices(shape))
     keys = pl.DataFrame({"ship": ship, "voyage": voyage, "sample": sample}).select(
-        operator=pl.lit("NVY"), tail=pl.format("S-{}", "ship"), pack=pl.lit(1, pl.Int32), component=pl.lit("NAV"),
+        **SHIP, component=pl.lit("NAV"),
         flight_id=pl.format("V-{}", pl.col("voyage").cast(pl.String).str.zfill(3)),
         time_utc=pl.datetime(2024, 1, 1, 8, time_zone="UTC") + pl.duration(days="voyage", minutes="sample"),
     )  # fmt: skip
@@ -141,7 +144,7 @@ def test_remaining_life_is_unbiased():
     signals = record(rng, wear, offset)
     log = log_of([(ship, "REPLACED", at + 1) for ship, at in ends])
     messages = pl.DataFrame(ends, schema=["ship", "day"], orient="row").select(
-        operator=pl.lit("NVY"), tail=pl.format("S-{}", "ship"), pack=pl.lit(1, pl.Int32), code=pl.lit("NAV01"),
+        **SHIP, code=pl.lit("NAV01"),
         flight_id=pl.format("V-{}", pl.col("day").cast(pl.String).str.zfill(3)), text=pl.lit(""),
         message_time=pl.datetime(2024, 1, 1, 8, 6, time_zone="UTC") + pl.duration(days="day"),
     )  # fmt: skip

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
-from by_hand import flights
+from by_hand import flights, samples_of
 
 from hdt_core.calibration.component_fit import flight_by_flight
 from hdt_core.components import Component, Limit
@@ -29,12 +29,10 @@ def shifted_flights(part: Component, shift: float, loss_step: float = 0.0) -> pl
     """Flights whose upper gauge reads `shift` high from the sixtieth on, and whose loss makes a step there."""
     rng = np.random.default_rng(1)
     late = np.repeat(np.arange(ALL) >= SHIFTED, 6)
-    rows = flights(ALL).rename({"departed_at": "time_utc"}).drop("status")
-    rows = pl.concat([rows.with_columns(pl.col("time_utc") + pl.duration(minutes=k)) for k in range(6)])
     noise = 0.02 * rng.standard_normal((2, 6 * ALL))
     upper = 1.0 + (shift + loss_step) * late + noise[0]
     lower = 1.0 - loss_step * late + noise[1]
-    rows = rows.sort("time_utc").with_columns(upper=pl.Series(upper), lower=pl.Series(lower), load=pl.lit(1.0))
+    rows = samples_of(flights(ALL, load=1.0), 6).with_columns(upper=pl.Series(upper), lower=pl.Series(lower))
     model = with_sensor_errors(part.model)
     return sensor_shifts(flight_by_flight(rows, model, ["gau_loss"]), rows, model, part)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
-from by_hand import flights
+from by_hand import flights, samples_of
 
 from hdt_core.components import Component, Limit
 from hdt_core.physics.model import Param, PhysicsModel, Signal
@@ -66,8 +66,7 @@ def test_lone_pack_has_no_sisters():
 @pytest.mark.parametrize(("level_sd", "shift"), [(1e-6, np.log(2.0 / 1.7) + 0.05), (1e6, 0.0)])
 def test_offset_follows_surer_level(level_sd, shift):
     """A lift of 1.7 m by a design of 2 m; sisters lie .05 above that design."""
-    lifts = flights(3, lift=1.7, speed=1.0).rename({"departed_at": "time_utc"}).drop("status")
-    samples = pl.concat([lifts.with_columns(pl.col("time_utc") + pl.duration(minutes=k)) for k in range(5)])
+    samples = samples_of(flights(3, lift=1.7, speed=1.0), 5)
     own = PUMP.calibrated({"pmp_size": 1.7})
 
     offset = design_offset(samples, own, PART, CleanLevel(0.05, level_sd, 0.02))
