@@ -75,7 +75,7 @@ def test_record_without_values_leaves_prior():
 
 
 @pytest.fixture(scope="module")
-def fitted():
+def line_fit():
     """Estimate of the line."""
     return NonlinearLeastSquares().estimate(line())
 
@@ -85,9 +85,9 @@ RESIDUAL = MEASURED / 0.1 - SLOPES @ LEAST
 CHI2 = RESIDUAL @ RESIDUAL
 
 
-def test_fit_statistics_follow_residuals(fitted):
+def test_fit_statistics_follow_residuals(line_fit):
     """Among them Akaike's and Schwarz's criteria."""
-    fit = fitted.fit
+    fit = line_fit.fit
     assert (fit.n_values, fit.n_free, fit.degrees, fit.verdict) == (12, 2, 10, "adequate")
     assert (fit.chi2, fit.reduced_chi2, fit.p_value) == pytest.approx((CHI2, CHI2 / 10.0, stats.chi2.sf(CHI2, 10)))
     schwarz = 2.0 * np.log(12)
@@ -96,12 +96,12 @@ def test_fit_statistics_follow_residuals(fitted):
     assert fit.serial_correlation == pytest.approx(neighbours / (CHI2 / 12) / np.sqrt(11))
 
 
-def test_deviations_follow_residuals(fitted):
+def test_deviations_follow_residuals(line_fit):
     """Scaled by reduced chi-square; White's sandwich with n / (n - p)."""
     cov = np.linalg.inv(SLOPES.T @ SLOPES)
-    np.testing.assert_allclose(fitted.fit.scaled_sd, np.sqrt(CHI2 / 10.0 * np.diag(cov)), rtol=1e-5)
+    np.testing.assert_allclose(line_fit.fit.scaled_sd, np.sqrt(CHI2 / 10.0 * np.diag(cov)), rtol=1e-5)
     score = SLOPES * RESIDUAL[:, None]
-    np.testing.assert_allclose(fitted.fit.sandwich_sd, np.sqrt(np.diag(cov @ score.T @ score @ cov) * 1.2), rtol=1e-5)
+    np.testing.assert_allclose(line_fit.fit.sandwich_sd, np.sqrt(np.diag(cov @ score.T @ score @ cov) * 1.2), rtol=1e-5)
 
 
 def small_fit(n: int) -> tuple[Fit, np.ndarray, np.ndarray]:
@@ -145,10 +145,10 @@ def test_filter_fit_uses_innovations():
 
 
 @pytest.fixture
-def axes(fitted):
+def axes(line_fit):
     """A plot of the line's residuals."""
     axes = Figure().add_subplot()
-    fitted.plot(axes)
+    line_fit.plot(axes)
     return axes
 
 
@@ -157,10 +157,10 @@ def test_plot_bands_two_sigmas(axes):
     assert (band.y0, band.y1) == pytest.approx((-2.0, 2.0))
 
 
-def test_plot_shows_residuals(axes, fitted):
+def test_plot_shows_residuals(axes, line_fit):
     points, zero = axes.lines
     assert set(zero.get_ydata()) == {0.0}
-    np.testing.assert_allclose(points.get_ydata(), fitted.fit.residuals[:, 0])
+    np.testing.assert_allclose(points.get_ydata(), line_fit.fit.residuals[:, 0])
     assert "adequate" in axes.get_title()
 
 
@@ -238,21 +238,21 @@ def test_fixed_parameter_has_no_variance():
         (np.nan, "converged", "diverged"),
     ],
 )  # fmt: skip
-def test_fit_status_follows_optimum(fitted, off, reached, status):
+def test_fit_status_follows_optimum(line_fit, off, reached, status):
     """Alone along the first parameter, so many deviations away."""
     away = np.array([off / np.linalg.norm(SLOPES[:, 0]), 0.0])
-    assert conclude(line(), fitted.belief.mean + away, reached, 1).status == status
+    assert conclude(line(), line_fit.belief.mean + away, reached, 1).status == status
 
 
-def test_fit_ends_at_bound(fitted):
-    bounds = np.array([[-50.0, fitted.belief.mean[0] - 0.5 * fitted.belief.sd[0]], [-50.0, 50.0]])
+def test_fit_ends_at_bound(line_fit):
+    bounds = np.array([[-50.0, line_fit.belief.mean[0] - 0.5 * line_fit.belief.sd[0]], [-50.0, 50.0]])
     corner = line(bounds=bounds, prior=Belief(np.zeros(2), 25.0 * np.eye(2)))
     assert NonlinearLeastSquares().estimate(corner).status == "at_bound"
 
 
-def test_narrow_bounds_leave_parameters_open(fitted):
-    reach = 2.9 * np.array([-1.0, 1.0]) * fitted.belief.sd[:, None]
-    estimate = NonlinearLeastSquares().estimate(line(bounds=fitted.belief.mean[:, None] + reach))
+def test_narrow_bounds_leave_parameters_open(line_fit):
+    reach = 2.9 * np.array([-1.0, 1.0]) * line_fit.belief.sd[:, None]
+    estimate = NonlinearLeastSquares().estimate(line(bounds=line_fit.belief.mean[:, None] + reach))
     assert (estimate.status, estimate.weak) == ("weakly_identifiable", ("offset", "slope"))
 
 
@@ -268,23 +268,23 @@ def test_two_parameters_for_one_mean():
         ([1.05, 0.0], False), ([0.0, -1.05], False), ([2.5, 2.5], False),
     ],
 )  # fmt: skip
-def test_own_covariance_counts_near_optimum(fitted, off, is_near):
+def test_own_covariance_counts_near_optimum(line_fit, off, is_near):
     """Within a deviation by it, here twice the line's; farther off it is of another place."""
-    belief = fitted.belief
+    belief = line_fit.belief
     end = settle(line(), belief.mean + np.array(off) * 2.0 * belief.sd, 0, cov=4.0 * belief.cov)
     np.testing.assert_allclose(end.belief.cov, (4.0 if is_near else 1.0) * belief.cov, rtol=1e-7 if is_near else 1e-6)
 
 
-def test_settling_without_a_point_diverges(fitted):
-    assert settle(line(), fitted.belief.mean * [1.0, np.nan], 5).status == "diverged"
+def test_settling_without_a_point_diverges(line_fit):
+    assert settle(line(), line_fit.belief.mean * [1.0, np.nan], 5).status == "diverged"
 
 
-def test_unpolished_end_costs_nothing_more(fitted):
-    assert settle(line(), fitted.belief.mean, 5, polish=False).n_evals == 5
+def test_unpolished_end_costs_nothing_more(line_fit):
+    assert settle(line(), line_fit.belief.mean, 5, polish=False).n_evals == 5
 
 
-def test_quadratic_model_costs_five_evaluations(fitted):
-    assert quadratic_model(line(), fitted.belief.mean).n_evals == 5
+def test_quadratic_model_costs_five_evaluations(line_fit):
+    assert quadratic_model(line(), line_fit.belief.mean).n_evals == 5
 
 
 def fit_logarithm(sigma: float):

@@ -370,31 +370,31 @@ def test_report_keeps_belief_off_optimum():
 
 
 @pytest.fixture(scope="module")
-def questioned() -> Estimate:
+def doubtful() -> Estimate:
     """A line's estimate with a weak parameter, a better optimum and the passes that it took to find them."""
     fitted = NonlinearLeastSquares().estimate(line(prior=unknown(np.array([3.0, 0.0]))))
     return replace(fitted, weak=("slope",), better=np.array([2.0, 0.25]), n_checks=17)
 
 
-def test_summary_lists_the_fit(questioned):
+def test_summary_lists_the_fit(doubtful):
     head = [
         "    status               = converged",
-        f"    model evaluations    = {questioned.n_evals}, and 17 to question the answer",
+        f"    model evaluations    = {doubtful.n_evals}, and 17 to question the answer",
         "    values               = 12",
         "    free parameters      = 2",
         "    degrees of freedom   = 10",
-        f"    reduced chi-square   = {questioned.fit.chi2 / 10:.6g}",
+        f"    reduced chi-square   = {doubtful.fit.chi2 / 10:.6g}",
         "    fit                  = adequate: model and sigma explain the record",
     ]
-    assert set(head) <= set(questioned.summary().splitlines())
+    assert set(head) <= set(doubtful.summary().splitlines())
 
 
-def test_summary_lists_parameters(questioned):
-    cov = np.linalg.inv(questioned.identifiability.information)
+def test_summary_lists_parameters(doubtful):
+    cov = np.linalg.inv(doubtful.identifiability.information)
     sd = np.sqrt(np.diag(cov))
-    mean = questioned.belief.mean
-    scaled = f"scaled {questioned.fit.scaled_sd[0]:.4g}"
-    lines = questioned.summary().splitlines()
+    mean = doubtful.belief.mean
+    scaled = f"scaled {doubtful.fit.scaled_sd[0]:.4g}"
+    lines = doubtful.summary().splitlines()
     row = next(text for text in lines if text.startswith("    offset "))
     assert row.startswith(f"    offset  {mean[0]:.8g} +/- {sd[0]:.4g} ({100 * sd[0] / mean[0]:.2f} %), {scaled}")
     assert row.endswith("(init 3)")
@@ -405,14 +405,14 @@ def test_summary_lists_parameters(questioned):
     ("heading", "line_below"),
     [("[[Left open by the data]]", "    slope"), ("[[A better optimum]]", "    near offset 2, slope 0.25")],
 )
-def test_summary_lists_doubts(questioned, heading, line_below):
-    lines = questioned.summary().splitlines()
+def test_summary_lists_doubts(doubtful, heading, line_below):
+    lines = doubtful.summary().splitlines()
     assert lines[lines.index(heading) + 1] == line_below
 
 
-def test_summary_omits_impossible_shares(questioned):
+def test_summary_omits_impossible_shares(doubtful):
     """No share of nothing, nor of no end."""
-    wide = replace(questioned, belief=Belief(np.array([0.0, 2.0]), np.diag([4.0, np.inf]))).summary().splitlines()
+    wide = replace(doubtful, belief=Belief(np.array([0.0, 2.0]), np.diag([4.0, np.inf]))).summary().splitlines()
     rows = [text.partition(", ")[0] for text in wide if text.startswith(("    offset ", "    slope  "))]
     assert rows == ["    offset  0 +/- 2", "    slope   2 +/- inf"]
 

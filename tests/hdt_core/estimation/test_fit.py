@@ -63,9 +63,10 @@ def test_right_sigma_is_seldom_rejected():
 
 
 def test_interval_follows_residual_scatter():
-    """Sigma declared three times too small; the deviation is that of the residuals over the root of the sum of squares.
+    """Beside a fixed parameter, of a sigma declared three times too small.
 
-    Nine of ten intervals hold the truth: 200 records, three times 0.021.
+    The deviation is that of the residuals over the root of the sum of squares. Nine of ten intervals hold the truth:
+    200 records, three times 0.021.
     """
     bounds = np.array([[-100.0, 100.0], [1.0, 1.0]])
     estimates = [NonlinearLeastSquares().estimate(replace(line(3.0, seed=k), bounds=bounds)) for k in range(200)]

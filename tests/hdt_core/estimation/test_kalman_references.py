@@ -105,7 +105,7 @@ def test_clark_states_equal_r(method):
     assert sum(log_likelihoods(filtered)) == pytest.approx(1232.113456, rel=1e-7)
 
 
-def drawn_record(seed, process_sd):
+def draw_record(seed, process_sd):
     rng = np.random.default_rng(seed)
     F = np.array([[1.0, 0.1, 0.0], [-0.05, 0.95, 0.1], [0.0, 0.0, 0.9]])
     H = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, 1.0]])
@@ -117,7 +117,7 @@ def drawn_record(seed, process_sd):
 
 @METHODS
 def test_linear_filter_equals_filterpy(method):
-    problem, F, H = drawn_record(3, [0.1, 0.0, 0.2])
+    problem, F, H = draw_record(3, [0.1, 0.0, 0.2])
     ours = forward(problem, linearisation(method, 3))
     peer = KalmanFilter(dim_x=3, dim_z=2)
     peer.x = problem.start.mean[:, None]
@@ -136,7 +136,7 @@ def test_linear_filter_equals_filterpy(method):
 @METHODS
 def test_smoother_equals_joint_solution(method):
     """Of the linear equations of all samples at once."""
-    problem, F, H = drawn_record(4, [0.1, 0.05, 0.2])
+    problem, F, H = draw_record(4, [0.1, 0.05, 0.2])
     ours = smooth(forward(problem, linearisation(method, 3)))
     k = len(problem.measured)
     s = 3
@@ -160,7 +160,7 @@ def test_smoother_equals_joint_solution(method):
 
 @METHODS
 def test_last_sample_is_smoothed_as_filtered(method):
-    problem, *_ = drawn_record(4, [0.1, 0.05, 0.2])
+    problem, *_ = draw_record(4, [0.1, 0.05, 0.2])
     filtered = forward(replace(problem, measured=problem.measured[:1]), linearisation(method, 3))
     (alone,) = smooth(filtered)
     np.testing.assert_allclose(alone.cov, filtered.covs[0], atol=1e-12)

@@ -145,7 +145,7 @@ def lag() -> Problem:
 
 
 @pytest.fixture(scope="module")
-def unpolished():
+def raw_estimate():
     """Estimate of a trained net."""
     return PhysicsInformedNet(width=8, polish=False).estimate(lag())
 
@@ -162,18 +162,18 @@ def test_single_step_reaches_max_steps():
     assert (one.n_evals, one.method, one.status) == (2 * 7, "pinn", "max_steps")
 
 
-def test_net_counts_seven_passes_a_step(unpolished):
-    assert 7 * 2 * 4 <= unpolished.n_evals < 7 * 200
-    assert unpolished.n_evals % 7 == 0
+def test_net_counts_seven_passes_a_step(raw_estimate):
+    assert 7 * 2 * 4 <= raw_estimate.n_evals < 7 * 200
+    assert raw_estimate.n_evals % 7 == 0
 
 
-def test_net_nears_least_squares(unpolished, best):
-    assert (np.abs(unpolished.belief.mean - best.belief.mean) < 3.0 * unpolished.belief.sd).all()
+def test_net_nears_least_squares(raw_estimate, best):
+    assert (np.abs(raw_estimate.belief.mean - best.belief.mean) < 3.0 * raw_estimate.belief.sd).all()
 
 
-def test_polished_net_meets_least_squares(unpolished, best):
+def test_polished_net_meets_least_squares(raw_estimate, best):
     polished = PhysicsInformedNet(width=8).estimate(lag())
-    assert polished.n_evals > unpolished.n_evals
+    assert polished.n_evals > raw_estimate.n_evals
     np.testing.assert_allclose(polished.belief.mean, best.belief.mean, atol=1e-3 * best.belief.sd.min())
 
 

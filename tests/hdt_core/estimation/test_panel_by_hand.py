@@ -184,8 +184,8 @@ def test_others_follow_bounded_parameter(limits):
     assert estimate.status == "at_bound"
     np.testing.assert_allclose(estimate.belief.mean, expected, atol=1e-8)
     assert estimate.belief.cov[2].tolist() == [0.0] * 3
-    held = np.linalg.inv(free.belief.cov)[:2, :2]
-    np.testing.assert_allclose(estimate.belief.cov[:2, :2], np.linalg.inv(held), rtol=1e-6)
+    inner = np.linalg.inv(free.belief.cov)[:2, :2]
+    np.testing.assert_allclose(estimate.belief.cov[:2, :2], np.linalg.inv(inner), rtol=1e-6)
 
 
 def test_unobserved_parameter_stays_open():

@@ -173,6 +173,7 @@ def test_contradictory_batch_is_refused(change, message):
 
 
 def test_sequence_starts_from_last_converged():
+    """Of a method that takes no batch."""
     starts: list = []
 
     class Recorder:

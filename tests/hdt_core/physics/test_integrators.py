@@ -98,7 +98,7 @@ def test_sensitivity_solves_variational_equation():
     np.testing.assert_allclose(slope, exact.y[2], atol=1e-5 * np.abs(exact.y[2]).max())
 
 
-def walked(rates, x, dt_s):
+def step_states(rates, x, dt_s):
     """Dormand and Prince's steps, all columns alike: an error of 1e-8 of each state's size, of a thousandth of its
     largest column's at the least; a step changes by the fifth root of error over that, to a tenth or five times."""
     done = 0.0
@@ -125,7 +125,7 @@ def test_adaptive_steps_follow_the_error():
         return np.concatenate([np.where(x[:, :1] > 0.5, -40.0 * x[:, :1], -0.5 - 0.01 * x[:, :1]), -60.0 * x[:, 1:]], 1)
 
     start = np.array([[1.0, 2e-4]])
-    np.testing.assert_allclose(advance_states(rates, start, 2.0, "adaptive"), walked(rates, start, 2.0), rtol=1e-9)
+    np.testing.assert_allclose(advance_states(rates, start, 2.0, "adaptive"), step_states(rates, start, 2.0), rtol=1e-9)
 
 
 def record(seed=0, solver="adaptive"):

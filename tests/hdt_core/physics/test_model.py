@@ -27,7 +27,7 @@ def typical(model: PhysicsModel) -> dict[str, float]:
     return {s.name: TYPICAL[s.name] for s in model.inputs}
 
 
-def doubled(*, x, gain):
+def scale_input(*, x, gain):
     return gain * x
 
 
@@ -160,7 +160,7 @@ def test_missing_input_is_refused():
         RAM_DUCT.predict({}, {k: v for k, v in typical(RAM_DUCT).items() if k != "mach"})
 
 
-@pytest.mark.parametrize(("name", "equations"), [("gain", doubled), ("slope", lambda *, slope, **values: slope)])
+@pytest.mark.parametrize(("name", "equations"), [("gain", scale_input), ("slope", lambda *, slope, **values: slope)])
 def test_undeclared_argument_is_refused(name, equations):
     with pytest.raises(ValueError, match=f"differ in {name}"):
         PhysicsModel("m", (Signal("x", "-"),), (Signal("y", "-"),), (), equations)
@@ -182,7 +182,7 @@ def test_contradictory_model_is_refused(change, message):
     gain = Param("gain", "-", 1.0, (0.0, 2.0), "design")
     parts = {"inputs": (Signal("x", "-"),), "outputs": (Signal("y", "-"),), "params": (gain,)}
     with pytest.raises(ValueError, match=message):
-        PhysicsModel("m", equations=doubled, **(parts | change))
+        PhysicsModel("m", equations=scale_input, **(parts | change))
 
 
 @pytest.mark.parametrize(

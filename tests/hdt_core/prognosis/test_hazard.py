@@ -92,7 +92,7 @@ def test_row_is_at_risk_until_end(left, failed, exposure, hit):
 
 
 @pytest.fixture(scope="module")
-def learned():
+def learners():
     """Units that fail the sooner the higher their first feature, and two models of them."""
     rng = np.random.default_rng(0)
     features = rng.uniform(-1.0, 1.0, (800, 2))
@@ -103,27 +103,27 @@ def learned():
 GRID = np.column_stack([np.linspace(-1, 1, 21), np.zeros(21)])
 
 
-def test_hazards_average_the_learners(learned):
-    one, other = (hazards([m], GRID) for m in learned)
-    np.testing.assert_allclose(hazards(learned, GRID), (one + other) / 2.0)
+def test_hazards_average_the_learners(learners):
+    one, other = (hazards([m], GRID) for m in learners)
+    np.testing.assert_allclose(hazards(learners, GRID), (one + other) / 2.0)
     assert np.abs(one - other).max() > 0.0
 
 
-def test_hazards_rise_as_declared(learned):
-    hazard = hazards(learned[:1], GRID)
+def test_hazards_rise_as_declared(learners):
+    hazard = hazards(learners[:1], GRID)
     assert (np.diff(hazard, axis=0) >= 0.0).all()
     assert (hazard[-1] > 1.5 * hazard[0]).all()
 
 
-def test_learners_are_as_declared(learned):
+def test_learners_are_as_declared(learners):
     """Small trees, many rows a leaf, no early stop: chosen on simulated fleets, so a change wants them flown again."""
     chosen = {
         "max_iter": 150, "learning_rate": 0.08, "max_leaf_nodes": 12, "min_samples_leaf": 400, "max_features": 0.4,
         "l2_regularization": 1.0, "early_stopping": False, "monotonic_cst": [1, 0, 0], "random_state": 1,
     }  # fmt: skip
-    params = learned[1].get_params()
+    params = learners[1].get_params()
     assert {name: params[name] for name in chosen} == chosen
-    assert learned[1].n_features_in_ == 3
+    assert learners[1].n_features_in_ == 3
 
 
 PRIOR = Limit(0.25, 0.06, 0.05)
@@ -342,7 +342,7 @@ def draw_rates(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def censored():
+def censored_learner():
     """Model of units by their ln hazard, half of them cut."""
     rng = np.random.default_rng(1)
     rate = draw_rates(rng, 8000)
@@ -352,9 +352,9 @@ def censored():
 
 
 @pytest.mark.parametrize("rate", [0.005, 0.01, 0.02])
-def test_hazard_is_learned_under_censoring(censored, rate):
+def test_hazard_is_learned_under_censoring(censored_learner, rate):
     near = np.log(rate) + np.linspace(-0.2, 0.2, 200)[:, None]
-    p_50 = event_by(hazards([censored], near))[:, EDGES.tolist().index(50.0)].mean()
+    p_50 = event_by(hazards([censored_learner], near))[:, EDGES.tolist().index(50.0)].mean()
     assert p_50 == pytest.approx(1.0 - np.exp(-rate * 50.0), abs=0.04)
 
 

@@ -28,23 +28,23 @@ WAVY = 0.1 + 1e-3 * np.arange(120) + 0.01 * np.sin(0.7 * np.arange(120))
 
 
 @pytest.fixture(scope="module")
-def wavy() -> dict[str, np.ndarray]:
+def wavy_rows() -> dict[str, np.ndarray]:
     return record(WAVY)
 
 
 @pytest.mark.parametrize("window", [10, 30, 100])
-def test_slopes_are_least_squares(wavy, window):
-    assert wavy[f"slope_{window}"][119] == pytest.approx(slope(WAVY, 120 - window, 119))
-    assert wavy[f"slope_{window}"][7] == pytest.approx(slope(WAVY, 0, 7))
+def test_slopes_are_least_squares(wavy_rows, window):
+    assert wavy_rows[f"slope_{window}"][119] == pytest.approx(slope(WAVY, 120 - window, 119))
+    assert wavy_rows[f"slope_{window}"][7] == pytest.approx(slope(WAVY, 0, 7))
 
 
-def test_slope_of_life_needs_five_flights(wavy):
-    assert wavy["slope_life"][119] == pytest.approx(slope(WAVY, 0, 119))
-    assert wavy["slope_life"][3] == 0.0 != wavy["slope_life"][4]
+def test_slope_of_life_needs_five_flights(wavy_rows):
+    assert wavy_rows["slope_life"][119] == pytest.approx(slope(WAVY, 0, 119))
+    assert wavy_rows["slope_life"][3] == 0.0 != wavy_rows["slope_life"][4]
 
 
-def test_bend_is_difference_of_slopes(wavy):
-    assert wavy["bend"][119] == pytest.approx(wavy["slope_30"][119] - wavy["slope_100"][119])
+def test_bend_is_difference_of_slopes(wavy_rows):
+    assert wavy_rows["bend"][119] == pytest.approx(wavy_rows["slope_30"][119] - wavy_rows["slope_100"][119])
 
 
 def test_rows_are_independent_of_others():
@@ -70,7 +70,7 @@ def test_stretch_begins_with_a_drop(drop, first):
 
 
 @pytest.fixture(scope="module")
-def jumping() -> dict[str, np.ndarray]:
+def jumps() -> dict[str, np.ndarray]:
     """Up by 0.05 at once at flight 20, half of it down again at flight 40."""
     return record(0.1 + np.where(np.arange(80) >= 20, 0.05, 0.0) - np.where(np.arange(80) >= 40, 0.025, 0.0))
 
@@ -85,8 +85,8 @@ def jumping() -> dict[str, np.ndarray]:
         ("jump_share", [79, 20], [(0.05 - 0.02) / 0.15, (0.05 - 0.02) / 3.0 / 0.15]),
     ],
 )
-def test_jumps_by_hand(jumping, name, flights, expected):
-    assert jumping[name][flights].tolist() == pytest.approx(expected)
+def test_jumps_by_hand(jumps, name, flights, expected):
+    assert jumps[name][flights].tolist() == pytest.approx(expected)
 
 
 def test_small_jump_has_no_share():
@@ -119,12 +119,12 @@ def test_season_follows_the_year():
 @pytest.mark.parametrize(
     ("name", "value"), [("age_flights", 7.0), ("seen_flights", 5.0), ("level_sd", 0.02), ("ratio", -0.1)]
 )
-def test_rows_hold_what_is_known(wavy, name, value):
-    assert wavy[name][4] == value
+def test_rows_hold_what_is_known(wavy_rows, name, value):
+    assert wavy_rows[name][4] == value
 
 
 @pytest.fixture(scope="module")
-def observed() -> dict[str, np.ndarray]:
+def observations() -> dict[str, np.ndarray]:
     """Overheat by the fifth and the half, and share of open door, at random; some flights show nothing."""
     rng = np.random.default_rng(2)
     hot, half, door = (rng.uniform(0.0, 6.0, 60) for _ in range(3))
@@ -135,8 +135,8 @@ def observed() -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def averages(observed) -> dict[str, np.ndarray]:
-    return record(np.zeros(60), **observed)
+def averages(observations) -> dict[str, np.ndarray]:
+    return record(np.zeros(60), **observations)
 
 
 @pytest.mark.parametrize(
@@ -147,16 +147,16 @@ def averages(observed) -> dict[str, np.ndarray]:
         ("full_open_40", "full_open", 20),
     ],
 )  # fmt: skip
-def test_averages_span_recent_flights(observed, averages, name, signal, first):
-    assert averages[name][59] == pytest.approx(np.nanmean(observed[signal][first:]))
+def test_averages_span_recent_flights(observations, averages, name, signal, first):
+    assert averages[name][59] == pytest.approx(np.nanmean(observations[signal][first:]))
 
 
-def test_first_average_is_the_flights_own(observed, averages):
-    assert averages["overheat_10"][0] == pytest.approx(observed["overheat_k"][0])
+def test_first_average_is_the_flights_own(observations, averages):
+    assert averages["overheat_10"][0] == pytest.approx(observations["overheat_k"][0])
 
 
-def test_hot_share_counts_known_flights(observed, averages):
-    recent = observed["overheat_k"][20:]
+def test_hot_share_counts_known_flights(observations, averages):
+    recent = observations["overheat_k"][20:]
     assert averages["hot_share_40"][59] == pytest.approx((recent[np.isfinite(recent)] > 3.0).mean())
 
 
@@ -204,8 +204,8 @@ def test_reserve_is_ratio_above_demand(flight):
 
 @each_flight
 @pytest.mark.parametrize("name", ["30", "100", "segment"])
-def test_linear_forecast_divides_reserve_by_slope(wavy, flight, name):
-    want = min(max(0.3 / (wavy[f"slope_{name}"][flight] / (1.0 - WAVY[flight])), 0.0), 1000.0)
+def test_linear_forecast_divides_reserve_by_slope(wavy_rows, flight, name):
+    want = min(max(0.3 / (wavy_rows[f"slope_{name}"][flight] / (1.0 - WAVY[flight])), 0.0), 1000.0)
     assert rows(WAVY, -0.5, -0.2, flight)[f"left_linear_{name}"] == pytest.approx(want, rel=1e-9)
 
 

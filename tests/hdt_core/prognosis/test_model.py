@@ -45,7 +45,7 @@ def base():
 
 
 @pytest.fixture(scope="module")
-def fitted(fleet, base):
+def fleet_fit(fleet, base):
     lives = episodes(*fleet)
     model = fit_prognosis(fleet[0], lives, base=base)
     return fleet[0], lives, model
@@ -61,13 +61,13 @@ def forecasts(fleet, base):
 
 
 @pytest.fixture(scope="module")
-def prognoses(fitted):
-    features, lives, model = fitted
+def prognoses(fleet_fit):
+    features, lives, model = fleet_fit
     return predict_prognosis(model, features, lives)
 
 
-def test_flights_have_rows_per_component(fitted, prognoses):
-    assert prognoses.group_by("component").len()["len"].to_list() == [fitted[0].height] * 2
+def test_flights_have_rows_per_component(fleet_fit, prognoses):
+    assert prognoses.group_by("component").len()["len"].to_list() == [fleet_fit[0].height] * 2
     assert prognoses.unique(["tail", "flight_id", "pack", "component"]).height == prognoses.height
 
 
@@ -85,14 +85,14 @@ def test_compressor_without_track_is_blank(prognoses):
 
 
 @pytest.fixture(scope="module")
-def middle(fitted):
+def middle(fleet_fit):
     """When half of the flights had departed."""
-    departed = fitted[0]["departed_at"].sort()
+    departed = fleet_fit[0]["departed_at"].sort()
     return departed[len(departed) // 2]
 
 
-def test_later_flights_change_no_prognosis(fitted, prognoses, middle):
-    features, lives, model = fitted
+def test_later_flights_change_no_prognosis(fleet_fit, prognoses, middle):
+    features, lives, model = fleet_fit
     early = pl.col("departed_at") <= middle
     keys = ["component", "tail", "pack", "flight_id"]
     now, then = (
@@ -102,8 +102,8 @@ def test_later_flights_change_no_prognosis(fitted, prognoses, middle):
         np.testing.assert_allclose(now[name].to_numpy(), then[name].to_numpy(), atol=1e-9)
 
 
-def test_later_flights_change_no_row(fitted, middle):
-    features, lives, _ = fitted
+def test_later_flights_change_no_row(fleet_fit, middle):
+    features, lives, _ = fleet_fit
     early, whole = (tracks(f, lives, "HX") for f in (features.filter(pl.col("departed_at") <= middle), features))
     now, then = (fleet_rows(t, {"": PRIOR_RULE}).features for t in (early, whole))
     np.testing.assert_array_equal(now, then[(whole.keys["departed_at"] <= middle).to_numpy()])
@@ -130,8 +130,8 @@ def test_forecasts_without_any_failure(fleet, base):
     assert scores["mae_flights"] < 60.0
 
 
-def test_stored_parts_restore_the_model(fitted):
-    features, lives, model = fitted
+def test_stored_parts_restore_the_model(fleet_fit):
+    features, lives, model = fleet_fit
     sio = pytest.importorskip("skops.io")
     blob = sio.dumps(to_parts(model))
     types = sio.get_untrusted_types(data=blob)
@@ -141,15 +141,15 @@ def test_stored_parts_restore_the_model(fitted):
     assert predict_prognosis(again, head, lives).equals(predict_prognosis(model, head, lives))
 
 
-def test_older_home_restores_fits(fitted):
-    model = fitted[2]
+def test_older_home_restores_fits(fleet_fit):
+    model = fleet_fit[2]
     older = json.dumps(fits_to_json(model)).replace('"rule": ', '"says": ')
     assert '"rule"' not in older
     assert with_fits(model, json.loads(older)).fits == model.fits
 
 
-def test_same_lives_give_same_version(fitted):
-    features, lives, model = fitted
+def test_same_lives_give_same_version(fleet_fit):
+    features, lives, model = fleet_fit
     assert fit_prognosis(features, lives, base=shipped_base()).version == model.version
 
 
@@ -160,9 +160,9 @@ def test_same_seed_gives_same_base():
 
 
 @pytest.fixture
-def cards(fitted):
+def cards(fleet_fit):
     """Of the model, and of one whose intervals are worse."""
-    return [model_card(fitted[2], {"interval_score_flights": score, "brier": 0.05}) for score in (150.0, 180.0)]
+    return [model_card(fleet_fit[2], {"interval_score_flights": score, "brier": 0.05}) for score in (150.0, 180.0)]
 
 
 def test_first_model_is_promoted(cards):
@@ -179,16 +179,16 @@ def test_worse_model_is_not_promoted(cards):
     assert "interval_score" in verdict.reason
 
 
-def test_unscored_model_is_not_promoted(fitted, cards):
-    assert not promote(model_card(fitted[2]), cards[0]).promoted
+def test_unscored_model_is_not_promoted(fleet_fit, cards):
+    assert not promote(model_card(fleet_fit[2]), cards[0]).promoted
 
 
 def test_card_is_json(cards):
     json.dumps(cards[0])
 
 
-def test_service_keeps_better_model(fleet, fitted):
-    features, _, model = fitted
+def test_service_keeps_better_model(fleet, fleet_fit):
+    features, _, model = fleet_fit
     record = FleetRecord(*fleet)
     blind = replace(model, base_levels=(0.45, 0.5, 0.55), fits={})
     blind = replace(blind, hazard=tuple(_contrary(features.height) for _ in model.hazard))
@@ -230,7 +230,7 @@ def outside_halves(tail_halves):
 
 
 @pytest.fixture(scope="module")
-def pessimistic(base):
+def high_base(base):
     """The base with log odds 2 too high."""
     high = deepcopy(base.hazard[0])
     high._baseline_prediction = high._baseline_prediction + 2.0
@@ -279,29 +279,29 @@ def test_fold_ignores_its_own_lives(base, tail_halves, monkeypatch):
     assert all(fit.levels == base.base_levels for fit in fits)
 
 
-def test_pessimistic_base_is_corrected(pessimistic, tail_halves, monkeypatch):
+def test_pessimistic_base_is_corrected(high_base, tail_halves, monkeypatch):
     """What a fleet's lives say of it narrows the score, so it is kept in every fold."""
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
     track, tail_groups = tail_halves
-    fits = fit_component(pessimistic, track, "HX", tail_groups)
+    fits = fit_component(high_base, track, "HX", tail_groups)
     assert all(fit.correction.weights[0] < -0.2 for fit in fits)
 
 
 @pytest.mark.parametrize(("limit", "corrected"), [(None, True), (1, False)])
-def test_few_failures_correct_nothing(pessimistic, tail_halves, monkeypatch, limit, corrected):
+def test_few_failures_correct_nothing(high_base, tail_halves, monkeypatch, limit, corrected):
     """Below the limit the base stands."""
     track, tail_groups = tail_halves
-    failures = fit_component(pessimistic, track, "HX", tail_groups)[0].failures
+    failures = fit_component(high_base, track, "HX", tail_groups)[0].failures
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1 if limit is None else failures + limit)
-    whole = fit_component(pessimistic, track, "HX", tail_groups)[0]
+    whole = fit_component(high_base, track, "HX", tail_groups)[0]
     assert any(whole.correction.weights) == corrected
     assert whole.failures == failures
 
 
-def test_compressor_is_never_corrected(pessimistic, tail_halves, monkeypatch):
+def test_compressor_is_never_corrected(high_base, tail_halves, monkeypatch):
     monkeypatch.setattr("hdt_core.prognosis.model.LEARN_FROM", 1)
     track, tail_groups = tail_halves
-    assert not any(fit_component(pessimistic, track, "CC", tail_groups)[0].correction.weights)
+    assert not any(fit_component(high_base, track, "CC", tail_groups)[0].correction.weights)
 
 
 @pytest.mark.parametrize(("limit", "corrected"), [(0, True), (1, False)])

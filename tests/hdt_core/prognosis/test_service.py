@@ -135,6 +135,7 @@ def without(record, share):
 
 
 def test_few_late_flights_are_scored(fleet, base):
+    """At once, and learned from next month."""
     whole = FleetRecord(*fleet)
     one = whole.features.filter(pl.col("departed_at") < datetime(2024, 2, 20, tzinfo=UTC))["flight_id"][-1]
     missed = replace(whole, features=whole.features.filter(pl.col("flight_id") != one))

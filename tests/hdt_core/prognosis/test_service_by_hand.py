@@ -192,7 +192,7 @@ def first_scores() -> tuple:
     return score_months(scored_days(60, CALM), "HX", {})
 
 
-def rescored(days, before, component: str = "HX") -> list[int]:
+def find_rescored(days, before, component: str = "HX") -> list[int]:
     """Flights that are scored anew."""
     return np.flatnonzero(score_months(days, component, before)[1]).tolist()
 
@@ -210,22 +210,22 @@ def test_unchanged_flights_are_not_rescored(first_scores):
 
 def test_only_later_flights_are_scored():
     early = score_months(scored_days(40, CALM[:40]), "HX", {})[0]
-    assert rescored(scored_days(60, CALM), early) == list(range(40, 60))
+    assert find_rescored(scored_days(60, CALM), early) == list(range(40, 60))
 
 
 @pytest.mark.parametrize(("changed", "first"), [(5, 0), (40, 31), (30, 0)])
 def test_changed_flight_rescores_later_ones(first_scores, changed, first):
     """From the beginning of its month."""
     other = [0.2 if k == changed else v for k, v in enumerate(CALM)]
-    assert rescored(scored_days(60, other), first_scores[0]) == list(range(first, 60))
+    assert find_rescored(scored_days(60, other), first_scores[0]) == list(range(first, 60))
 
 
 def test_withdrawn_flights_rescore_their_month(first_scores):
-    assert rescored(scored_days(50, CALM[:50]), first_scores[0]) == list(range(31, 50))
+    assert find_rescored(scored_days(50, CALM[:50]), first_scores[0]) == list(range(31, 50))
 
 
 def test_other_component_is_scored_anew(first_scores):
-    assert rescored(scored_days(60, CALM), first_scores[0], "CC") == list(range(60))
+    assert find_rescored(scored_days(60, CALM), first_scores[0], "CC") == list(range(60))
 
 
 PROMOTIONS = [

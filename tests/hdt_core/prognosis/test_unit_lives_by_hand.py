@@ -58,7 +58,7 @@ CHANGED = (59, "HX", "REPLACED", "FOULED")
 
 @pytest.mark.parametrize(("flight", "failed"), [(39, False), (40, True), (59, True), (60, True), (61, False)])
 def test_message_ends_replaced_life(flight, failed):
-    """The entry of flight 59's day: the new unit flies from flight 60 on."""
+    """Within twenty flights. The entry is of flight 59's day: the new unit flies from flight 60 on."""
     first, second = list_lives(faults_on((flight, HX_CODE)), log(CHANGED))
     assert first == (0, flight if failed else 60, failed, True, False)
     assert second == (60, 100, False, False, True)
@@ -172,7 +172,7 @@ def test_scores_by_hand():
 CC = components()["CC"]
 
 
-def described(n: int, tail: str, loss: float | list[float]) -> pl.DataFrame:
+def make_features(n: int, tail: str, loss: float | list[float]) -> pl.DataFrame:
     own = {"component": "CC", "loss_sd": 0.01, "loss_slope_100_per_flight": 2e-4, "flights_since_drop": 29}
     return fly(n, tail, loss=loss, **own)
 
@@ -180,8 +180,11 @@ def described(n: int, tail: str, loss: float | list[float]) -> pl.DataFrame:
 @pytest.fixture(scope="module")
 def renewals() -> pl.DataFrame:
     """Prognoses of three tails: one fails at 0.15 in February, one at 0.30 in March."""
-    renewed = [described(100, "T-1", [0.15] * 45 + [0.02] * 55), described(100, "T-2", [0.30] * 75 + [0.02] * 25)]
-    rows = pl.concat([*renewed, described(100, "T-3", 0.12)])
+    renewed = [
+        make_features(100, "T-1", [0.15] * 45 + [0.02] * 55),
+        make_features(100, "T-2", [0.30] * 75 + [0.02] * 25),
+    ]
+    rows = pl.concat([*renewed, make_features(100, "T-3", 0.12)])
     messages = pl.concat([faults_on((0, HX_CODE), (40, CC_CODE)), faults_on((70, CC_CODE), tail="T-2")])
     entries = pl.concat([log((44, "CC", "REPLACED", "")), log((74, "CC", "REPLACED", ""), tail="T-2")])
     return component_prognoses(rows, messages, entries, replace(CC, wear_law=LINEAR))
@@ -225,7 +228,7 @@ def test_each_month_has_its_version(renewals):
 
 
 def test_component_choices_follow_prognosis():
-    rows = pl.concat([described(40, "T-1", 0.24), described(70, "T-2", 0.1)])
+    rows = pl.concat([make_features(40, "T-1", 0.24), make_features(70, "T-2", 0.1)])
     inputs = (rows, faults_on((0, HX_CODE)), log(), CC)
 
     choices = component_choices(*inputs, NO_WASHES).sort("tail", "choice")
@@ -238,7 +241,7 @@ def test_component_choices_follow_prognosis():
 
 def test_unreported_unit_may_have_failed():
     """Where nobody would tell: no message at all, or none of this component."""
-    rows = described(40, "T-1", 0.24)
+    rows = make_features(40, "T-1", 0.24)
     silent, with_messages, mute = (
         component_prognoses(rows, messages, log(), part)["p_event_50"][-1]
         for messages, part in (
@@ -249,7 +252,7 @@ def test_unreported_unit_may_have_failed():
 
 
 def test_unknown_loss_has_no_prognosis():
-    rows = described(40, "T-1", 0.24).with_columns(loss=pl.lit(None, pl.Float64))
+    rows = make_features(40, "T-1", 0.24).with_columns(loss=pl.lit(None, pl.Float64))
     unknown = component_prognoses(rows, faults_on(), log(), CC)
     assert unknown.select("rul_flights", "p_event_50").row(0) == (None, None)
 

@@ -25,7 +25,7 @@ def loss_of(law: WearLaw, n: int, limit: float = 0.35) -> np.ndarray:
     return np.interp(np.linspace(0.0, 1.0, n), law.grown(losses) / law.grown(np.array(limit)), losses)
 
 
-def described(losses: np.ndarray) -> pl.DataFrame:
+def make_features(losses: np.ndarray) -> pl.DataFrame:
     """Features of one unit with these losses, its slope that over all of them."""
     n = len(losses)
     slope = float(np.polyfit(np.arange(n), losses, 1)[0])
@@ -48,20 +48,20 @@ def test_zero_power_is_refused():
 
 
 def test_declared_law_is_used_alone():
-    (only,) = wear_laws(replace(CC, wear_law=RESISTANCE), described(loss_of(LINEAR, 200)))
+    (only,) = wear_laws(replace(CC, wear_law=RESISTANCE), make_features(loss_of(LINEAR, 200)))
 
     assert only == (RESISTANCE, 1.0)
 
 
 def test_prior_stands_without_lives():
-    weights = wear_laws(CC, described(np.zeros(20)))
+    weights = wear_laws(CC, make_features(np.zeros(20)))
 
     assert [x.weight for x in weights] == pytest.approx([x.weight for x in UNDECLARED])
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_lives_favour_their_law(law):
-    lives = [described(loss_of(law, 200)).with_columns(tail=pl.lit(f"T-{k}")) for k in range(12)]
+    lives = [make_features(loss_of(law, 200)).with_columns(tail=pl.lit(f"T-{k}")) for k in range(12)]
 
     weights = wear_laws(CC, pl.concat(lives))
 
@@ -72,7 +72,7 @@ def test_lives_favour_their_law(law):
 def test_remaining_life_follows_declared_law(law):
     """Half of a life of 200 flights: a straight line through the loss would err by 30 to 100 flights."""
     part = replace(CC, wear_law=law, life_flights=200.0, limit=replace(CC.limit, mean=0.35, sd=1e-3, unit_sd=1e-3))
-    rows = described(loss_of(law, 200)[:100])
+    rows = make_features(loss_of(law, 200)[:100])
 
     left = component_prognoses(rows, NO_MESSAGES, log().with_columns(finding=pl.lit("")), part)["rul_flights"][-1]
 

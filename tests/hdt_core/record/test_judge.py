@@ -69,6 +69,7 @@ def test_own_record_decides_reason(good, facts, reason):
 
 @pytest.mark.parametrize(("back_s", "cause"), [(86_400 - 300, "midnight"), (3_600, None)])
 def test_midnight_is_the_likely_cause(good, back_s, cause):
+    """A date that was not advanced then."""
     run = flight("LX-AA0", START + timedelta(days=3, hours=14), 4, clock_back_s=back_s, n_steps_back=1)
 
     assert judge(good, listed([run]))["likely_cause"].to_list() == [cause]

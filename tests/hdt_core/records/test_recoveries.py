@@ -100,6 +100,7 @@ def test_ten_flights_refute_work(since, verdict):
 
 @pytest.mark.parametrize(("messages", "verdict"), [((), "repeated"), ((RENEWED + 2,), "logged")])
 def test_second_entry_needs_a_message(messages, verdict):
+    """Work that is listed twice is one job, unless a message came between."""
     verdicts = judge(fly(WORN), log((1, RENEWED), (1, RENEWED + 3)), messages_after(*messages))
 
     assert verdicts["verdict"].to_list() == ["logged", verdict]

@@ -49,7 +49,7 @@ UNIT_SD = 0.05
 SHIP = {"operator": pl.lit("NVY"), "tail": pl.format("S-{}", "ship"), "pack": pl.lit(1, pl.Int32)}
 
 
-def worn(rng: np.random.Generator, ship: int) -> np.ndarray:
+def simulate_wear(rng: np.random.Generator, ship: int) -> np.ndarray:
     """Wear of one ship's compressor: odd ones are replaced, two in four washed, and every other wash goes unlogged."""
     wear = np.cumsum(np.full(VOYAGES, rng.gamma(4.0, 0.25) * 0.288 / 300)) + (0.0, 0.0, 0.04, 0.08)[ship // 2]
     if ship // 2 % 2:
@@ -89,7 +89,7 @@ def log_of(done: list[tuple[int, str, int]]) -> pl.DataFrame:
 def fleet() -> tuple[pl.DataFrame, pl.DataFrame, np.ndarray]:
     """Samples of all ships, the log, and the true loss (ships, voyages)."""
     rng = np.random.default_rng(7)
-    wear = np.array([worn(rng, ship) for ship in range(SHIPS)])
+    wear = np.array([simulate_wear(rng, ship) for ship in range(SHIPS)])
     unit = np.arange(VOYAGES)[None, :] >= np.where(np.arange(SHIPS) % 2, RENEWED, VOYAGES)[:, None]
     offset = np.take_along_axis(UNIT_SD * rng.standard_normal((SHIPS, 2)), unit.astype(int), axis=1)
     done = [(s, "REPLACED", RENEWED) for s in range(1, SHIPS, 2)] + [(s, "CLEANED", WASHED) for s in (2, 7)]

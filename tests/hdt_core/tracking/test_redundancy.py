@@ -56,6 +56,7 @@ def test_loss_step_is_no_shift():
 
 
 def test_small_shift_is_no_fault():
+    """It is left to the declared error."""
     assert shifted_flights(PART, 0.03)["sensor_shift_sd"].max() == 0.0
 
 

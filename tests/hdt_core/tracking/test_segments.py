@@ -89,6 +89,7 @@ def test_only_last_segments_are_refiltered(three, log, model, whole, monkeypatch
 
 
 def test_smoothed_value_becomes_final(three, log, model, whole):
+    """Once the next segment is flown."""
     end = three.filter(tail="S-0")["departed_at"][3 * segments.SEGMENT_FLIGHTS - 1]
     early = track(three.filter(pl.col("departed_at") <= end), log, model)
     settled = three.filter(tail="S-0").head(2 * segments.SEGMENT_FLIGHTS)["flight_id"].implode()

@@ -39,7 +39,7 @@ def test_later_flights_change_no_estimate(flights, model, fleet):
     """Nor does a later entry of the log."""
     cut = flights["departed_at"].min() + timedelta(days=70)
     causal = ~pl.col("parameter").str.ends_with("_smoothed")
-    later_log = replaced(fleet, "T-00", 90)
+    later_log = log_replacement(fleet, "T-00", 90)
     early = track(flights.filter(pl.col("departed_at") < cut), NO_LOG, model).health.filter(causal)
     same = track(flights, later_log, model).health.filter(causal, pl.col("departed_at") < cut)
     assert early.select(*IN_ORDER, "parameter", "status").equals(same.select(*IN_ORDER, "parameter", "status"))
@@ -49,7 +49,7 @@ def test_later_flights_change_no_estimate(flights, model, fleet):
 
 def test_earlier_work_changes_no_estimate(flights, model, fleet, whole):
     first = flights["departed_at"].min()
-    long_ago = replaced(fleet, "T-00", 0).with_columns(done_on=pl.lit(first.date() - timedelta(days=40)))
+    long_ago = log_replacement(fleet, "T-00", 0).with_columns(done_on=pl.lit(first.date() - timedelta(days=40)))
     assert track(flights, long_ago, model).health.equals(whole)
 
 
@@ -238,7 +238,7 @@ def test_unsure_level_widens_estimates(flights, model):
     assert unsure > sure
 
 
-def replaced(fleet, tail: str, k: int) -> pl.DataFrame:
+def log_replacement(fleet, tail: str, k: int) -> pl.DataFrame:
     day = fleet.legs.filter(pl.col("tail") == tail).sort("departed_at")["departed_at"].dt.date().unique().sort()[k]
     row = {"operator": "TST", "tail": tail, "pack": 1, "component": "HX", "action": "REPLACED", "done_on": day}
     return pl.DataFrame([row], schema=NO_LOG.schema)

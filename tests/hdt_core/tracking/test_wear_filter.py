@@ -35,7 +35,7 @@ class One(NamedTuple):
     before: Any = None
 
 
-def renewed(h: One, chance: float, unlogged: bool) -> list[One]:
+def renew(h: One, chance: float, unlogged: bool) -> list[One]:
     children = []
     for j, (share, rate, rate_sd, *_) in enumerate(PACES):
         drop = np.diag([0.0, 0.0, 1.0, 0.0, 1.0])
@@ -49,19 +49,19 @@ def renewed(h: One, chance: float, unlogged: bool) -> list[One]:
     return children
 
 
-def washed(h: One, chance: float, leaves: float, leaves_sd: float) -> One:
+def wash(h: One, chance: float, leaves: float, leaves_sd: float) -> One:
     keep = np.diag([leaves, 1.0, 1.0, 1.0, 1.0])
     more = np.diag([leaves_sd**2 * (h.m[0] ** 2 + h.p[0, 0]), PACES[h.pace][2] ** 2, 0.0, 0.0, 0.0])
     event = h.event * keep.diagonal()
     return h._replace(lw=h.lw + np.log(chance), m=keep @ h.m, p=keep @ h.p @ keep + more, since=0, event=event)
 
 
-def worn(h: One, chance: float, more: float, more_sd: float) -> One:
+def wear_out(h: One, chance: float, more: float, more_sd: float) -> One:
     wear = np.array([1.0, 0, 0, 0, 0])
     return h._replace(lw=h.lw + np.log(chance), m=h.m + more * wear, p=h.p + more_sd**2 * np.diag(wear))
 
 
-def aged(h: One, row: int) -> One:
+def pass_flight(h: One, row: int) -> One:
     """One flight later: the rate's noise a variance, the map's error a stationary process of forty flights."""
     keep = 1.0 if h.faulty else np.exp(-1.0 / 40.0)
     move = np.diag([1.0, 1.0, 1.0, 1.0, keep])
@@ -75,7 +75,7 @@ def aged(h: One, row: int) -> One:
     )  # fmt: skip
 
 
-def logged(h: One, due: int, log_kept: bool) -> list[One]:
+def apply_log(h: One, due: int, log_kept: bool) -> list[One]:
     """What an entry, or its absence on the ninth flight, does: 1 washed, 2 replaced."""
     recent = h.since <= 8
     missing = h.unlogged and h.since == 9 and log_kept
@@ -83,22 +83,22 @@ def logged(h: One, due: int, log_kept: bool) -> list[One]:
     if not due or recent:
         return [h]
     not_done = h._replace(lw=h.lw + np.log(0.02 / 60))
-    return [not_done, *(renewed(h, 1 / 60, h.unlogged) if due == 2 else [washed(h, 1 / 60, 0.3, 0.2)])]
+    return [not_done, *(renew(h, 1 / 60, h.unlogged) if due == 2 else [wash(h, 1 / 60, 0.3, 0.2)])]
 
 
-def branched(h: One, ratio: float, variance: float, opened: int) -> list[One]:
+def branch(h: One, ratio: float, variance: float, opened: int) -> list[One]:
     off = ratio - SETTINGS.level - ROW @ h.m
     sd = np.sqrt(ROW @ h.p @ ROW + variance)
     surprised = abs(off) > 2.0 * sd
     open_kind = opened if h.since > 8 else 0
     children = [h._replace(lw=h.lw + (np.log(0.5) if open_kind else 0.0))]
     if open_kind:
-        children += renewed(h, 0.5 / 60, h.unlogged) if open_kind == 2 else [washed(h, 0.5 / 60, 0.3, 0.2)]
+        children += renew(h, 0.5 / 60, h.unlogged) if open_kind == 2 else [wash(h, 0.5 / 60, 0.3, 0.2)]
     if surprised and off > 0 and not open_kind:
-        children += [*renewed(h, 0.75 / 400, True), washed(h, 1 / 2000, 0.35, 0.3)]
-        children.append(washed(h, 0.25 / 400, 0.3, 0.2)._replace(unlogged=True))
+        children += [*renew(h, 0.75 / 400, True), wash(h, 1 / 2000, 0.35, 0.3)]
+        children.append(wash(h, 0.25 / 400, 0.3, 0.2)._replace(unlogged=True))
     if surprised and off < 0:
-        children += [worn(h, 1 / 200, 0.02, 0.02), worn(h, 1 / 2000, 0.17, 0.17)]
+        children += [wear_out(h, 1 / 200, 0.02, 0.02), wear_out(h, 1 / 2000, 0.17, 0.17)]
     if surprised and h.faulty:
         mask = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
         p = mask @ h.p @ mask + np.diag([0, 0, 0, 0, 0.005**2])
@@ -125,11 +125,11 @@ def update_one(h: One, ratio: float, variance: float) -> One:
 def one_flight(states: list[One], ratio, variance, exposure, opened, due, log_kept) -> list[One]:
     wear = max(sum(np.exp(h.lw) * h.m[0] for h in states), 0.0)
     at_reference = ratio + np.log(1.0 + (np.exp(wear) - 1.0) * exposure) - wear
-    aged_states = [b for row, h in enumerate(states) for b in logged(aged(h, row), due, log_kept)]
+    aged_states = [b for row, h in enumerate(states) for b in apply_log(pass_flight(h, row), due, log_kept)]
     if np.isnan(ratio):
         after = [h._replace(before=h) for h in aged_states]
     else:
-        split = [b for h in aged_states for b in branched(h, at_reference, variance, opened)]
+        split = [b for h in aged_states for b in branch(h, at_reference, variance, opened)]
         after = [update_one(h, at_reference, variance) for h in split]
     total = np.log(sum(np.exp(h.lw) for h in after))
     return [h._replace(lw=h.lw - total) for h in after]
@@ -173,7 +173,7 @@ CASES = {
 
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda c: c.replace(" ", "-"))
-def flown(request: pytest.FixtureRequest) -> tuple[list[list[One]], list[Hypotheses], list[Any]]:
+def recursions(request: pytest.FixtureRequest) -> tuple[list[list[One]], list[Hypotheses], list[Any]]:
     """Enumerated states after each flight, the filter's with nothing dropped or merged, and its branchings."""
     start = first(1, since=3) if "never" in request.param else first(2, since=30)
     enumerated = [start]
@@ -191,7 +191,7 @@ def flown(request: pytest.FixtureRequest) -> tuple[list[list[One]], list[Hypothe
     return enumerated, filtered, branchings
 
 
-def united(states: list[One]) -> list[tuple[Any, ...]]:
+def unite(states: list[One]) -> list[tuple[Any, ...]]:
     """Weight and numbers of each state; those that came about in two ways, by the log and beside it, are one."""
     weights: dict[tuple[Any, ...], float] = {}
     numbers: dict[tuple[Any, ...], tuple[Any, ...]] = {}
@@ -203,11 +203,11 @@ def united(states: list[One]) -> list[tuple[Any, ...]]:
     return [(weights[key], *numbers[key]) for key in weights]
 
 
-def test_filter_equals_enumeration(flown):
-    for states, batch in zip(*flown[:2], strict=True):
+def test_filter_equals_enumeration(recursions):
+    for states, batch in zip(*recursions[:2], strict=True):
         ours = sorted(zip(np.exp(batch.log_weight), batch.mean[:, 0], batch.mean.sum(1), batch.cov.sum((1, 2)),
                           batch.pace, batch.since, batch.unlogged, batch.faulty, strict=True))  # fmt: skip
-        by_hand = sorted(united(states))
+        by_hand = sorted(unite(states))
         assert len(ours) == len(by_hand)
         np.testing.assert_allclose(np.array(ours, float), np.array(by_hand, float), rtol=1e-6, atol=1e-12)
         mean, sd = wear_summary(batch, 1)
@@ -215,9 +215,9 @@ def test_filter_equals_enumeration(flown):
         np.testing.assert_allclose((mean[0], sd[0]), expected, rtol=1e-6)
 
 
-def test_smoother_equals_every_path(flown):
+def test_smoother_equals_every_path(recursions):
     """Each last hypothesis walked back to the first by itself; those through one state merged by their moments."""
-    enumerated, filtered, branchings = flown
+    enumerated, filtered, branchings = recursions
     smoothed = smooth(filtered[1:], branchings)
     paths = [(np.exp(h.lw), h, h.m, h.p) for h in enumerated[-1]]
     for k in range(len(enumerated) - 1, 0, -1):
