@@ -1,4 +1,4 @@
-"""After a night: what changed is told once, to each receiver, and no receiver is in another's or the night's way."""
+"""After a night: what changed is sent once, to each receiver, and no receiver is in another's or the night's way."""
 
 import http.server
 import json
@@ -19,10 +19,9 @@ from unittest.mock import Mock
 import pytest
 from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import SMTP, AuthResult
+from command import hdt
 from digest_nights import FIRST, SECOND, publish_night
-from typer.testing import CliRunner
 
-from pipelines.cli import app
 from pipelines.digest import declaration, delivery
 from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.digest.delivery import send_digests
@@ -151,9 +150,9 @@ def test_failed_night_is_sent_once(home):
         declare(home, *({"name": n, "kind": "webhook", "url": url} | own for n, own in
                         (("all", {}), ("one", {"operator": "AQX"}))))  # fmt: skip
 
-        done = CliRunner().invoke(app, ["nightly", "--landing", str(home), "--home", str(home)])
+        done = hdt("nightly", "--landing", home, "--home", home)
 
-    assert done.exit_code
+    assert done.returncode
     (post,) = posts
     assert "no fleet.csv" in post.body["text"]
 
@@ -316,7 +315,7 @@ def test_dead_receiver_stops_no_night(own_home):
     landing, home = own_home
     declare(home, {"name": "gone", "kind": "webhook", "url": "http://127.0.0.1:9/x"}, {"name": "here", "kind": "file",
             "folder": "digests"})  # fmt: skip
-    answer = CliRunner().invoke(app, ["nightly", "--landing", str(landing), "--home", str(home)])
-    assert answer.exit_code == 0, answer.output
-    assert answer.output.count("hdt: gone got no digest") == 1
+    night = hdt("nightly", "--landing", landing, "--home", home)
+    assert night.returncode == 0, night.stderr
+    assert night.stderr.count("hdt: gone got no digest") == 1
     assert {f.suffix for f in (home / "digests").iterdir()} == {".txt", ".html", ".json"}

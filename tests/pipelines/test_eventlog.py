@@ -109,7 +109,7 @@ def add_cells(instance: dg.DagsterInstance, flights: str = "12") -> None:
     instance.add_dynamic_partitions("flight", [*flights])
 
 
-def ran(log: Log, who, monkeypatch, batch: str):
+def tables_after_run(log: Log, who, monkeypatch, batch: str):
     """Tables of the index after one run over 2 x 3 cells."""
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", batch)
     # stock plans one event an asset where it is asked to
@@ -158,11 +158,11 @@ def bare(event: str) -> str:
 
 
 def test_tables_equal_those_of_stock(new_log, monkeypatch):
-    stock, said_by_stock = ran(new_log("stock"), STOCK, monkeypatch, "0")
+    stock, stock_cells = tables_after_run(new_log("stock"), STOCK, monkeypatch, "0")
     log = new_log("ours")
-    ours, said_by_ours = ran(log, OURS, monkeypatch, "1000")
+    ours, cells = tables_after_run(log, OURS, monkeypatch, "1000")
     assert ours == stock
-    assert said_by_ours == said_by_stock == sorted(f"{a}|{f}" for a in "AB" for f in "123")
+    assert cells == stock_cells == sorted(f"{a}|{f}" for a in "AB" for f in "123")
     instance = log.instance(STOCK)  # which reads what the batch wrote
     for name in ("first", "third"):
         assert len(instance.get_materialized_partitions(dg.AssetKey(name))) == 6
@@ -202,9 +202,14 @@ def broken() -> None:
     raise ValueError("no")
 
 
-def test_failed_cells_show_like_stocks(new_log, monkeypatch):
-    """Stock plans cell by cell; ours only where the run failed, and then what was not made."""
+@pytest.fixture
+def large_batches(monkeypatch) -> None:
     monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
+
+
+@pytest.mark.usefixtures("large_batches")
+def test_failed_cells_show_like_stocks(new_log):
+    """Stock plans cell by cell; ours only where the run failed, and then what was not made."""
     cells = [dg.MultiPartitionKey({"aircraft": a, "flight": f}) for a in "AB" for f in "12"]
     attempts = []
     tags = range_tags("A|1", "B|2")
@@ -216,8 +221,8 @@ def test_failed_cells_show_like_stocks(new_log, monkeypatch):
             if who is OURS:
                 log.mark_failed_partitions(done.run_id, cells)
             in_vain = log.get_latest_asset_partition_materialization_attempts_without_materializations
-            found = [in_vain(dg.AssetKey(name)).items() for name in ("sound", "broken")]
-            attempts.append([{cell: run_id == done.run_id for cell, (run_id, _) in cells_of} for cells_of in found])
+            vain = [in_vain(dg.AssetKey(name)).items() for name in ("sound", "broken")]
+            attempts.append([{cell: run_id == done.run_id for cell, (run_id, _) in cells_of} for cells_of in vain])
     stock, ours = attempts
     assert ours == stock == [{}, dict.fromkeys(cells, True)]
 
@@ -258,9 +263,9 @@ def test_vain_cells_equal_stocks(new_log, monkeypatch, named):
 
 
 @pytest.mark.parametrize("assets", [[first, second, third], [sound, broken]])
+@pytest.mark.usefixtures("large_batches")
 def test_run_page_equals_stocks(new_log, assets, monkeypatch):
     """In stock's order, where events that only tell how far a step is are written with the next; a line an asset."""
-    monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
     monkeypatch.setenv("DAGSTER_EMIT_PARTITION_SUBSET_IN_PLANNED_EVENTS", "1")
     tags = range_tags("A|1", "B|2")
     pages = []
@@ -276,9 +281,9 @@ def test_run_page_equals_stocks(new_log, assets, monkeypatch):
     assert len(ours) > 10
 
 
-def test_every_shard_equals_stocks(tmp_path, monkeypatch):
+@pytest.mark.usefixtures("large_batches")
+def test_every_shard_equals_stocks(tmp_path):
     """The first makes its own, those after it are copies: same schema and journal, and nothing of another run."""
-    monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
 
     def shards(name: str, who) -> list[tuple]:
         log = Log(tmp_path / name, "sqlite", "")
@@ -309,9 +314,9 @@ def shared(context):
     return dg.MaterializeResult(check_results=[dg.AssetCheckResult(passed=True, check_name="fine")])
 
 
-def test_parallel_runs_keep_last_check(new_log, monkeypatch):
+@pytest.mark.usefixtures("large_batches")
+def test_parallel_runs_keep_last_check(new_log):
     """Or else a page says that nothing was checked: it takes the last that was planned."""
-    monkeypatch.setenv("DAGSTER_EVENT_BATCH_SIZE", "1000")
     with new_log("ours").instance(OURS) as instance:
         done = dg.materialize([shared], instance=instance)
         key = dg.AssetCheckKey(dg.AssetKey("shared"), "fine")
@@ -345,22 +350,33 @@ def test_half_made_index_is_completed(tmp_path, present):
         assert instance.get_latest_materialization_event(dg.AssetKey("plain"))
 
 
-def test_settings_are_never_half_written(tmp_path):
+@pytest.fixture
+def settings(tmp_path) -> Path:
+    return tmp_path / "dagster.yaml"
+
+
+@pytest.mark.parametrize("before", ["", "# ours: of a home that was moved"])
+def test_settings_are_never_half_written(settings, before):
     """Worker processes open the instance side by side; one that read an empty file had stock's event log, and a night
     that takes seconds took an hour."""
-    settings = tmp_path / "dagster.yaml"
-    for before in ("", "# ours: of a home that was moved"):
-        settings.write_text(before)
-        with settings.open() as other_process, open_instance(tmp_path, "# ours", "made here") as instance:
-            assert type(instance.event_log_storage).__name__ == "BatchedSqliteEventLogStorage"
-            assert other_process.read() == before  # replaced, never emptied
+    settings.write_text(before)
+    with settings.open() as other_process, open_instance(settings.parent, "# ours", "made here") as instance:
+        assert type(instance.event_log_storage).__name__ == "BatchedSqliteEventLogStorage"
+        assert other_process.read() == before  # replaced, never emptied
+
+
+def test_settings_are_written_once(settings):
+    open_instance(settings.parent, "# ours", "made here").dispose()
     written = settings.stat()
-    open_instance(tmp_path, "# ours", "made here").dispose()
+    open_instance(settings.parent, "# ours", "made here").dispose()
     assert (settings.stat().st_ino, settings.stat().st_mtime_ns) == (written.st_ino, written.st_mtime_ns)
+
+
+def test_settings_by_others_stay(settings):
     settings.write_text("telemetry: {enabled: false}")
-    open_instance(tmp_path, "# ours", "made here").dispose()
+    open_instance(settings.parent, "# ours", "made here").dispose()
     assert settings.read_text() == "telemetry: {enabled: false}"
-    assert [p.name for p in tmp_path.glob("*dagster.yaml*")] == ["dagster.yaml"]
+    assert [p.name for p in settings.parent.glob("*dagster.yaml*")] == ["dagster.yaml"]
 
 
 def test_forgotten_log_closes_its_files(tmp_path):

@@ -9,11 +9,9 @@ from pathlib import Path
 import pytest
 from command import hdt
 from strangers import NAME, Newton, forget_methods, install_method
-from typer.testing import CliRunner
 
 from hdt_core.alerts.cases import Limits
 from hdt_core.components.pack import CC
-from pipelines.cli import app, main
 from pipelines.digest.declaration import NotifyError, receivers_of
 from pipelines.intake.findings import CostError, read_costs
 from pipelines.intake.scan import scan
@@ -78,41 +76,60 @@ def test_wrong_value_names_its_file(tmp_path, read, name, text, message):
         read(tmp_path)
 
 
-def test_home_sets_retention(tmp_path):
+def test_retention_lasts_thirty_days(tmp_path):
     assert retention(tmp_path) == Retention(30, ())
-    (tmp_path / "retention.toml").write_text('keep_days = 400\nhold = ["2024-03-01", "2024-05-01"]')
-    assert retention(tmp_path) == Retention(400, ("2024-03-01", "2024-05-01"))
-    (tmp_path / "retention.toml").write_text("hold = [2024-03-01, '2024-03-02T04:00']")
-    assert retention(tmp_path) == Retention(30, ("2024-03-01", "2024-03-02T04:00"))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            'keep_days = 400\nhold = ["2024-03-01", "2024-05-01"]',
+            Retention(400, ("2024-03-01", "2024-05-01")),
+        ),
+        ("hold = [2024-03-01, '2024-03-02T04:00']", Retention(30, ("2024-03-01", "2024-03-02T04:00"))),
+    ],
+    ids=["days", "date of TOML"],
+)
+def test_home_sets_retention(tmp_path, text, expected):
+    (tmp_path / "retention.toml").write_text(text)
+    assert retention(tmp_path) == expected
 
 
 @pytest.mark.parametrize("text", [DEEP, "x = \ud800", "=", "x = 1", f"x = {'9' * 5_000}"])
-def test_bad_toml_is_refused(tmp_path, text):
-    for name in ("retention.toml", "notify.toml", "costs.toml"):
-        (tmp_path / name).write_bytes(text.encode("utf-8", "surrogatepass"))
-    for read, error in ((retention, StoreError), (receivers_of, NotifyError), (read_costs, CostError)):
-        with pytest.raises(error, match=r"\.toml"):
-            read(tmp_path)
+@pytest.mark.parametrize(
+    ("name", "read", "error"),
+    [
+        ("retention.toml", retention, StoreError),
+        ("notify.toml", receivers_of, NotifyError),
+        ("costs.toml", read_costs, CostError),
+    ],
+)
+def test_bad_toml_is_refused(tmp_path, name, read, error, text):
+    (tmp_path / name).write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(error, match=r"\.toml"):
+        read(tmp_path)
 
 
 @pytest.mark.parametrize(("name", "text"), [
     ("retention.toml", "keep_days = 99999999999"),
     ("estimators.toml", "HX = 'magic'"), ("notify.toml", "receiver = 1"), ("terms.txt", "none"),
 ])  # fmt: skip
-def test_wrong_setting_stops_the_night(sample_landing, tmp_path, monkeypatch, capsys, name, text):
+def test_wrong_setting_stops_the_night(sample_landing, tmp_path, name, text):
+    """Before it does anything."""
     (tmp_path / name).write_text(text)
-    monkeypatch.setattr("sys.argv", ["hdt", "nightly", "--landing", str(sample_landing), "--home", str(tmp_path)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert (ended.value.code, len(lines)) == (2, 1), lines
-    assert re.match(rf"hdt: .*{re.escape(name)}", lines[0])
+    night = hdt("nightly", "--landing", sample_landing, "--home", tmp_path)
+    assert (night.returncode, len(night.stderr.strip().splitlines())) == (2, 1), night.stderr
+    assert re.match(rf"hdt: .*{re.escape(name)}", night.stderr.strip())
     assert not (tmp_path / "tables").exists()
 
 
+def test_absurd_days_are_refused(sample_home):
+    assert hdt("tidy", "--home", sample_home, "--keep-days", "99999999999").returncode == 2
+
+
 def test_home_is_closed_to_others(sample_home):
-    answer = CliRunner().invoke(app, ["tidy", "--home", str(sample_home), "--keep-days", "99999999999"])
-    assert answer.exit_code == 2
+    """To all but its owner and group."""
     modes = {f: stat.S_IMODE(f.stat().st_mode) for f in (sample_home, *sample_home.rglob("*"))}
     assert [f for f, mode in modes.items() if mode & 0o007] == []
     ledger = {f: mode for f, mode in modes.items() if f.name.startswith("ledger.") and "sealed" not in f.name}
@@ -122,10 +139,10 @@ def test_home_is_closed_to_others(sample_home):
     assert {modes[f] & 0o040 for f in (sample_home / "catalog.duckdb", *sample_home.rglob("*.parquet"))} == {0o040}
 
 
-def test_open_file_becomes_private(tmp_path):
+@pytest.mark.parametrize("name", ["cases.sqlite", "new"])
+def test_open_file_becomes_private(tmp_path, name):
     (tmp_path / "cases.sqlite").touch(0o666)
-    for name in ("cases.sqlite", "new"):
-        assert stat.S_IMODE(make_private(tmp_path / name).stat().st_mode) == 0o600
+    assert stat.S_IMODE(make_private(tmp_path / name).stat().st_mode) == 0o600
 
 
 @pytest.mark.parametrize(("before", "after"), [(0o000, 0o027), (0o022, 0o027), (0o077, 0o077)])
@@ -138,9 +155,12 @@ def test_narrower_mask_stays(before, after):
         os.umask(mask)
 
 
+def test_alert_limits_have_defaults(tmp_path):
+    assert (alert_limits(tmp_path), changed_limits(tmp_path)) == (Limits(), ())
+
+
 def test_home_sets_alert_limits(tmp_path):
-    assert alert_limits(tmp_path) == Limits()
-    assert changed_limits(tmp_path) == ()
+    """And the rest stays."""
     (tmp_path / "alerts.toml").write_text("fouling = 0.12\nwear_persistence = [2, 3, 15]\nclog = 0.1\n")
     limits = alert_limits(tmp_path)
     assert (limits.fouling, limits.wear_persistence, limits.compressor) == (0.12, (2, 3, 15), Limits().compressor)
@@ -198,21 +218,35 @@ def test_accepted_terms_renew_the_model(tmp_path):
     assert baseline_inputs(Ledger(tmp_path)) == [*before, "term flow_leak", "term water_spray"]
     accept_terms(tmp_path, [])
     assert baseline_inputs(Ledger(tmp_path)) == before
+
+
+def test_unknown_term_changes_nothing(tmp_path):
+    before = baseline_inputs(Ledger(tmp_path))
     with pytest.raises(KeyError):
         accept_terms(tmp_path, ["unheard_of"])
     assert baseline_inputs(Ledger(tmp_path)) == before
+
+
+def test_terms_are_written_by_hand(tmp_path):
     terms_file(tmp_path).write_text("# by hand\n\n inlet_gain \n")
     assert accepted_terms(tmp_path) == ("inlet_gain",)
 
 
-def test_command_changes_accepted_terms(tmp_path):
-    (tmp_path / "catalog.duckdb").touch()  # a home that has seen a night
-    run = CliRunner()
-    assert run.invoke(app, ["terms", "--home", str(tmp_path), "--accept", "water_spray"]).exit_code == 0
-    assert accepted_terms(tmp_path) == ("water_spray",)
-    assert run.invoke(app, ["terms", "--home", str(tmp_path), "--drop", "water_spray"]).exit_code == 0
-    assert accepted_terms(tmp_path) == ()
-    assert run.invoke(app, ["terms", "--home", str(tmp_path), "--accept", "unheard_of"]).exit_code != 0
+@pytest.fixture
+def old_home(tmp_path) -> Path:
+    """A home that has seen a night."""
+    (tmp_path / "catalog.duckdb").touch()
+    return tmp_path
+
+
+def test_command_changes_accepted_terms(old_home):
+    for option, terms in (("--accept", ("water_spray",)), ("--drop", ())):
+        assert hdt("terms", "--home", old_home, option, "water_spray").returncode == 0
+        assert accepted_terms(old_home) == terms
+
+
+def test_command_refuses_unknown_term(old_home):
+    assert hdt("terms", "--home", old_home, "--accept", "unheard_of").returncode != 0
 
 
 def _many_dots(file: Path) -> None:
@@ -236,7 +270,7 @@ ENDLESS: dict[str, Callable[[Path], None]] = {
     "pipe": os.mkfifo, "folder": os.mkdir, "huge": _without_end, "dots": _many_dots, "device": _link("/dev/zero"),
     "loop": _link("../home/loop"), "nowhere": _link("nowhere"),
 }  # fmt: skip
-UNSHOWN: dict[str, Callable[[Path], None]] = {
+UNPRINTABLE: dict[str, Callable[[Path], None]] = {
     "long number": _text(f"keep_days = 0x{'f' * 5_000}\nHX.wash = 0x{'f' * 5_000}\n"),
     "deep key": _text(f"keep_days{'.a' * 900} = 1\n"),
     "key of two lines": _text('"a\\nb" = 1\n'),
@@ -274,7 +308,7 @@ def test_endless_file_is_refused(tmp_path, name, read, make):
     assert str(fault.value).isprintable()
 
 
-@pytest.mark.parametrize("make", UNSHOWN.values(), ids=UNSHOWN)
+@pytest.mark.parametrize("make", UNPRINTABLE.values(), ids=UNPRINTABLE)
 @pytest.mark.parametrize(("name", "read"), [item for item in READERS.items() if item[0].endswith(".toml")])
 def test_fault_is_shown_in_one_line(tmp_path, name, read, make):
     make(tmp_path / name)
