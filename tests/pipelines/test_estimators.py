@@ -1,10 +1,9 @@
 """A home names its estimators, and a night runs them."""
 
 import pytest
+from answers import query
 from nights import run
 from zones import drop_fleet, simulated
-
-from pipelines.storage.catalog import connect
 
 LINE = 'HX = "ekf"\nCC = { design = "pinn", health = "ukf" }\n'
 
@@ -31,12 +30,11 @@ def homes(tmp_path_factory):
 
 def made_by(home, view: str) -> dict[str, str]:
     """Estimator of each parameter."""
-    with connect(home) as con:
-        return dict(con.execute(f"select distinct parameter, estimator from {view}").fetchall())
+    return dict(query(home, f"select distinct parameter, estimator from {view}"))
 
 
 def test_home_without_file_runs_default(homes):
-    _home, before, _second, _third = homes
+    _, before, *_ = homes
 
     assert (before["hx_fouling"], before["hx_fouling_smoothed"]) == ("nls, filtered", "nls, smoothed")
 
@@ -55,7 +53,7 @@ def test_design_names_its_method(homes):
 
 
 def test_changed_line_counts_at_once(homes):
-    _home, _before, second, _third = homes
+    second = homes[2]
 
     assert (second.new_files, second.failed) == (0, {})
     assert second.cells > 0

@@ -5,12 +5,12 @@ from importlib.metadata import EntryPoint
 
 import dagster as dg
 import polars as pl
+from answers import query
 from nights import keep_base, run
 
 from pipelines.assets import raw as raw_assets
 from pipelines.orchestration import around_night
 from pipelines.orchestration.runs import open_instance
-from pipelines.storage.catalog import connect
 from pipelines.storage.store import Store
 
 COMPARED = (
@@ -27,9 +27,9 @@ COMPARED = (
 
 def made_since(home, asset: str, since: float) -> set[str]:
     """Partitions of an asset materialised after `since`."""
-    wanted = dg.AssetRecordsFilter(dg.AssetKey(asset), after_timestamp=since)
+    records = dg.AssetRecordsFilter(dg.AssetKey(asset), after_timestamp=since)
     with open_instance(home) as instance:
-        return {r.partition_key for r in instance.fetch_materializations(wanted, limit=10_000).records}
+        return {r.partition_key for r in instance.fetch_materializations(records, limit=10_000).records}
 
 
 def last_time(home) -> float:
@@ -123,14 +123,11 @@ def test_failed_aircraft_stops_no_other(own_home, monkeypatch):
     night = run(landing, home)
     assert list(night.failed) == ["flights: AQX:LX-AAB"]
     assert "disk on fire" in next(iter(night.failed.values()))
-    with connect(home) as con:
-        stored = {f for (f,) in con.execute("select flight_id from tables.raw_flights").fetchall()}
-    assert added[1] in stored
-    assert added[0] not in stored
+    stored = f"select flight_id from tables.raw_flights where flight_id in {tuple(added)}"
+    assert query(home, stored) == [(added[1],)]
     monkeypatch.undo()
     assert not run(landing, home).failed
-    with connect(home) as con:
-        assert con.execute("select count(*) from tables.raw_flights where flight_id = ?", [added[0]]).fetchone()[0] == 1
+    assert sorted(query(home, stored)) == sorted((flight,) for flight in added)
 
 
 def test_failed_hook_stops_no_other(monkeypatch, tmp_path):

@@ -10,6 +10,7 @@ from contextlib import suppress
 import duckdb
 import polars as pl
 import pytest
+from answers import query
 from nights import run
 from soundness import faults
 
@@ -58,8 +59,7 @@ def test_catalog_keeps_to_its_hour(s3_url, tmp_path, monkeypatch):
     publish(tmp_path)
     write(store, "2")
     for expected in ("1", "2"):
-        with connect(tmp_path) as con:
-            assert con.sql(f"select model_version from tables.{TABLE}").fetchall() == [(expected,)]
+        assert query(tmp_path, f"select model_version from tables.{TABLE}") == [(expected,)]
         publish(tmp_path)
 
 
@@ -116,8 +116,7 @@ def test_night_on_objects_equals_files(s3_url, sample_landing, sample_home, tmp_
     assert run(sample_landing, home).idle
     monkeypatch.delenv(URL)
     assert on_objects == fingerprint(sample_home)
-    with connect(sample_home) as con:
-        assert rows == {v: con.execute(f"select count(*) from {v}").fetchone()[0] for v in rows}
+    assert rows == {v: query(sample_home, f"select count(*) from {v}")[0][0] for v in rows}
     assert set(rows) == set(views())
 
 

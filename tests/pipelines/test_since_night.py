@@ -1,6 +1,7 @@
 """A line of the log of cases counts in every output at once; the next night comes to the same."""
 
 import pytest
+from answers import query
 from case_homes import case_home
 from nights import run
 
@@ -28,19 +29,14 @@ def close(home, alert="wear", **fields):
     change_case(home, find_case(home, alert), "close", "Ada", **({"finding": "fouled"} | fields))
 
 
-def rows(home, sql):
-    with connect(home) as con:
-        return con.execute(sql).fetchall()
-
-
 def test_wash_empties_the_row(home):
     close(home, action="cleaned")
-    assert rows(home, RANKED) == [("none", "CLEANED", None)]
+    assert query(home, RANKED) == [("none", "CLEANED", None)]
 
 
 def test_wash_ends_its_alerts(home):
     close(home, action="cleaned")
-    assert rows(home, "select alert_id from alerts where tail = 'T-1' and closed_at is null") == []
+    assert query(home, "select alert_id from alerts where tail = 'T-1' and closed_at is null") == []
 
 
 def test_wash_ends_its_work_orders(home):
@@ -51,7 +47,7 @@ def test_wash_ends_its_work_orders(home):
 
 def test_clean_finding_ends_the_alert(home):
     close(home, finding="clean")
-    assert rows(home, CLOSED) == [("found_clean", "no_fault_found")]
+    assert query(home, CLOSED) == [("found_clean", "no_fault_found")]
 
 
 def test_remaining_fault_keeps_alert_open(home):
@@ -60,16 +56,16 @@ def test_remaining_fault_keeps_alert_open(home):
 
 
 def test_reopened_case_counts_no_more(home):
-    before = rows(home, RANKED)
+    before = query(home, RANKED)
     close(home, action="cleaned")
     change_case(home, find_case(home, "wear"), "reopen", "Ada", note="wrong pack")
-    assert rows(home, RANKED) == before
+    assert query(home, RANKED) == before
 
 
 def test_running_night_blocks_no_change(home):
     with lock_home(home):
         close(home, action="cleaned")
-    assert rows(home, RANKED)[0][1] == "CLEANED"
+    assert query(home, RANKED)[0][1] == "CLEANED"
 
 
 def test_unpublished_line_is_read(home):
@@ -82,7 +78,7 @@ def test_night_publishes_later_lines(home):
     case = find_case(home, "wear")
     CaseLog(home).append(case, "acknowledge", "Ada")
     publish(home)
-    assert rows(home, "select acknowledged_by from cases where alert_id = 'wear'") == [("Ada",)]
+    assert query(home, "select acknowledged_by from cases where alert_id = 'wear'") == [("Ada",)]
 
 
 @pytest.mark.parametrize("is_renamed", [True, False])
@@ -99,7 +95,7 @@ def test_killed_rename_loses_no_line(home, monkeypatch, is_renamed):
         with pytest.raises(KeyboardInterrupt):
             publish(home)
     close(home, action="cleaned")
-    assert rows(home, RANKED)[0][1] == "CLEANED"
+    assert query(home, RANKED)[0][1] == "CLEANED"
 
 
 def test_next_night_agrees(own_home):
@@ -107,6 +103,6 @@ def test_next_night_agrees(own_home):
     washed, clean, *_ = list_cases(home, "c.component = 'HX' and c.closed_at is null")
     change_case(home, washed, "close", "Ada", finding="fouled", action="cleaned")
     change_case(home, clean, "close", "Ada", finding="clean")
-    at_once = [rows(home, sql) for sql in (ALERTS, RANKING)]
+    at_once = [query(home, sql) for sql in (ALERTS, RANKING)]
     run(landing, home)
-    assert [rows(home, sql) for sql in (ALERTS, RANKING)] == at_once
+    assert [query(home, sql) for sql in (ALERTS, RANKING)] == at_once

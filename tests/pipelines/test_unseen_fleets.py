@@ -6,6 +6,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from answers import query
 from nights import keep_base, run
 from polars.exceptions import PanicException
 from soundness import faults
@@ -13,7 +14,7 @@ from zones import drop_fleet, simulated
 
 import pipelines.assets.twin as twin_assets
 from benchmarks.fault_points import fingerprint
-from pipelines.cli.doctor import examine
+from pipelines.cli.doctor import Check, examine
 from pipelines.report.page import write_report
 from pipelines.storage.catalog import connect
 from pipelines.storage.store import Store
@@ -132,16 +133,20 @@ def folders(sample_home, tmp_path) -> tuple[Path, Path]:
     return landing, home
 
 
+def run_soundly(landing: Path, home: Path) -> None:
+    """A night in which nothing fails, and that leaves a sound home."""
+    assert run(landing, home).failed == {}
+    assert faults(home, landing) == []
+
+
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda f: f.__name__)
 def test_unlike_fleet_ends_sound(scenario, folders, sample_home, tmp_path):
     landing, home = folders
-    nights = 0
+    n_nights = 0
     for _ in scenario(landing):
-        night = run(landing, home)
-        nights = nights + 1
-        assert night.failed == {}
-        assert faults(home, landing) == []
-    if nights > 1:
+        run_soundly(landing, home)
+        n_nights += 1
+    if n_nights > 1:
         clean = tmp_path / "clean"
         keep_base(sample_home, clean)
         run(landing, clean)
@@ -165,8 +170,7 @@ def test_broken_redelivery_removes_nothing(folders):
     for broken in (slice(0), slice(40), None):
         for file, content in contents.items():
             file.write_bytes(b"\0" * 100 if broken is None else content[broken])
-        assert run(landing, home).failed == {}
-        assert faults(home, landing) == []
+        run_soundly(landing, home)
         assert {t: fingerprint(home)[t] for t in RAW} == {t: whole[t] for t in RAW}
     for file, content in contents.items():
         file.write_bytes(content)
@@ -184,11 +188,16 @@ def test_report_needs_no_flight(folders, tmp_path):
     assert "</html>" in (tmp_path / "report.html").read_text()
 
 
-def check(home):
+def check_wiring(home: Path) -> Check:
     return next(c for c in examine(None, home) if c.name == "units and wiring")
 
 
-def test_disagreeing_files_are_named(folders, sample_home):
+def test_sample_fleet_is_wired_well(sample_home):
+    assert check_wiring(sample_home).well
+
+
+def test_disagreeing_files_are_named(folders):
+    """In the quarantine, and by the doctor."""
     landing, home = folders
     zones = [simulated(31 + k, 3, operator=o, tail=t) for k, (o, t) in enumerate([("QQX", "Z9"), ("QQY", "Z9")])]
     swapped, fahrenheit, _ = zones[0].flights
@@ -209,10 +218,8 @@ def test_disagreeing_files_are_named(folders, sample_home):
     for zone in zones:
         zone.drop_csv(landing)
     zones[0].drop_papers(landing)
-    assert run(landing, home).failed == {}
-    assert faults(home, landing) == []
-    with connect(home) as con:
-        entries = con.sql("select distinct file, reason, column_name from quarantine where scope != 'value'").fetchall()
+    run_soundly(landing, home)
+    entries = query(home, "select distinct file, reason, column_name from quarantine where scope != 'value'")
     assert set(entries) == {
         (f"QQX/Z9/acms/{swapped}.csv", "swapped_columns", "hx_in_degc, hx_out_degc"),
         (f"QQX/Z9/acms/{fahrenheit}.csv", "wrong_unit", "tat_degc"),
@@ -221,9 +228,9 @@ def test_disagreeing_files_are_named(folders, sample_home):
         ("QQX/Z9", "tail_of_two_operators", None),
         ("QQY/Z9", "tail_of_two_operators", None),
     }
-    assert check(sample_home).well
-    assert not check(home).well
-    assert f"QQX/Z9/acms/{swapped}.csv: hx_in_degc, hx_out_degc swapped columns" in check(home).message
+    check = check_wiring(home)
+    assert not check.well
+    assert f"QQX/Z9/acms/{swapped}.csv: hx_in_degc, hx_out_degc swapped columns" in check.message
 
 
 FLIGHTS = 7
@@ -243,9 +250,8 @@ def seven(zone, folders):
     return folders
 
 
-def stored(home) -> set[str]:
-    with connect(home) as con:
-        return {f for (f,) in con.execute("select distinct flight_id from tables.twin_flights").fetchall()}
+def stored_flights(home) -> set[str]:
+    return {f for (f,) in query(home, "select distinct flight_id from tables.twin_flights")}
 
 
 @pytest.mark.parametrize("error", [RuntimeError, PanicException])
@@ -264,7 +270,7 @@ def test_failing_flight_is_named(error, zone, seven, monkeypatch):
     (reason,) = (why for where, why in night.failed.items() if where == "operational twins: QQX:Z9")
     assert reason.startswith(f"{sick} (QQX/Z9/acms/{sick}.csv): ")
     assert "matrix is singular" in reason
-    assert stored(home) == set(zone.flights) - {sick}
+    assert stored_flights(home) == set(zone.flights) - {sick}
     again = run(landing, home)
     assert [why for where, why in again.failed.items() if where.startswith("operational")] == [reason]
     assert again.cells < 3 * FLIGHTS  # its own, and what follows from it
@@ -281,20 +287,19 @@ def test_infinite_result_is_set_aside(zone, seven, monkeypatch):
         return real(samples, dsm, *parts).with_columns(infinite.alias("flows_apart_ln"))
 
     monkeypatch.setattr(twin_assets, "estimate_flights", estimate)
-    assert run(landing, home).failed == {}
-    assert faults(home, landing) == []
+    run_soundly(landing, home)
     with connect(home) as con:
         (row,) = con.sql("select * from quarantine").pl().filter(reason=BROKEN).rows(named=True)
         n = con.execute("select count(*) from tables.twin_flights").fetchone()[0]
     assert n == 2 * FLIGHTS - 1
-    assert (row["file"], row["flight_id"], row["column_name"]) == (f"QQX/Z9/acms/{sick}.csv", sick, "flows_apart_ln")
+    expected = {"file": f"QQX/Z9/acms/{sick}.csv", "flight_id": sick, "column_name": "flows_apart_ln",
+                "scope": "result", "n_rows": 0, "operator": "QQX", "tail": "Z9"}  # fmt: skip
+    assert {name: row[name] for name in expected} == expected
     assert "flows_apart_ln is infinite" in row["detail"]
-    assert (row["scope"], row["n_rows"], row["operator"], row["tail"]) == ("result", 0, "QQX", "Z9")
     assert '"pack": 2' in row["content"]
     assert run(landing, home).idle
     monkeypatch.undo()
     file = landing / "QQX/Z9/acms" / f"{sick}.csv"
     shutil.copy(file, file.with_name(f"{sick} (1).csv"))  # the flight is made again
     assert run(landing, home).failed == {}
-    with connect(home) as con:
-        assert BROKEN not in con.sql("select reason from quarantine").pl()["reason"].to_list()
+    assert (BROKEN,) not in query(home, "select reason from quarantine")
