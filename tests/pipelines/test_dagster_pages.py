@@ -179,7 +179,7 @@ def clone(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def started(clone: Path, *words: str, home: bool) -> Iterator[subprocess.Popen[str]]:
+def start_dagster(clone: Path, *words: str, home: bool) -> Iterator[subprocess.Popen[str]]:
     """Dagster's own command in the clone, ended as by Ctrl+C; `home` sets DAGSTER_HOME to the clone."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("DAGSTER_", "HDT_"))}
     environment |= {"PYTHONPATH": str(clone), "PATH": f"{Path(DAGSTER).parent}{os.pathsep}{os.environ['PATH']}"}
@@ -212,7 +212,7 @@ def new_files(clone: Path) -> str:
 
 def test_definitions_validate_without_home(clone):
     before = new_files(clone)
-    with started(clone, "definitions", "validate", home=False) as process:
+    with start_dagster(clone, "definitions", "validate", home=False) as process:
         words = process.communicate(timeout=120)[0]
     assert process.returncode == 0, words[-2000:]
     assert "All code locations passed validation" in words
@@ -229,7 +229,7 @@ def test_dev_answers_with_home(clone):
     request = urllib.request.Request(address, question, {"Content-Type": "application/json"})
 
     nodes = None
-    with started(clone, "dev", "--port", str(port), home=True) as process:
+    with start_dagster(clone, "dev", "--port", str(port), home=True) as process:
         while nodes is None:
             try:
                 with urllib.request.urlopen(request, timeout=30) as answer:

@@ -18,7 +18,7 @@ def numbers(version: str) -> tuple[int, ...]:
     return tuple(map(int, version.split(".")))
 
 
-def supported() -> tuple[str, str]:
+def supported_range() -> tuple[str, str]:
     """The oldest version that is supported, and the first that is not."""
     dependencies = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
     (bounds,) = (
@@ -28,7 +28,7 @@ def supported() -> tuple[str, str]:
 
 
 def test_oldest_version_is_named_alike():
-    oldest, beyond = supported()
+    oldest, beyond = supported_range()
     assert numbers(oldest) < numbers(dagster.__version__) < numbers(beyond)
     assert f"`make dagster` runs them with the oldest, {oldest}" in (ROOT / "dagster_batched/README.md").read_text()
     assert f"\t.ci/dagster {oldest}\n" in (ROOT / "Makefile").read_text()
@@ -38,7 +38,7 @@ def test_oldest_version_is_named_alike():
 def test_other_dagster_passes_the_tests():
     ask = [OTHER, "-c", "import dagster; print(dagster.__version__)"]
     other = subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip()
-    oldest, beyond = supported()
+    oldest, beyond = supported_range()
     assert numbers(oldest) <= numbers(other) < numbers(beyond)
     assert other != dagster.__version__
     own = {**os.environ, "PYTHONPATH": str(ROOT), "HDT_TEST_DAGSTER": ""}

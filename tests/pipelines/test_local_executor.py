@@ -28,6 +28,11 @@ def landing(tmp_path_factory) -> Path:
     return folder / "landing"
 
 
+def run(landing: Path, home: Path, bars: Silent | None = None, **options: int) -> nightly.Night:
+    with around_night.lock_home(home):
+        return nightly.run_night(landing, home, bars or Silent(), **options)
+
+
 @pytest.fixture
 def small_blocks(monkeypatch) -> None:
     """An aircraft a run, shared out however few; up to the twin, whose fleet-wide steps are no different."""
@@ -51,14 +56,12 @@ def test_two_processes_equal_one(landing, tmp_path, small_blocks, monkeypatch):
     """To the last digit: no flight's numbers hang on those it shares a run with."""
     counts = {}
     for jobs in (1, 2):
-        with around_night.lock_home(tmp_path / f"{jobs}"):
-            night = nightly.run_night(landing, tmp_path / f"{jobs}", Silent(), jobs=jobs)
+        night = run(landing, tmp_path / f"{jobs}", jobs=jobs)
         counts[jobs] = (night.runs, night.cells, night.failed)
     assert counts[2] == counts[1]
     assert not counts[1][2]
     monkeypatch.setattr(batches, "CELLS_A_RUN", 5)
-    with around_night.lock_home(tmp_path / "cut"):
-        assert nightly.run_night(landing, tmp_path / "cut", Silent(), jobs=2).runs > counts[1][0]
+    assert run(landing, tmp_path / "cut", jobs=2).runs > counts[1][0]
     assert fingerprint(tmp_path / "cut") == fingerprint(tmp_path / "2") == fingerprint(tmp_path / "1")
 
 
@@ -70,11 +73,9 @@ def test_night_recovers_from_dead_worker(landing, tmp_path, small_blocks):
             for child in multiprocessing.active_children():
                 child.kill()
 
-    with around_night.lock_home(tmp_path):
-        night = nightly.run_night(landing, tmp_path, Killer(), jobs=2)
+    night = run(landing, tmp_path, Killer(), jobs=2)
     assert "a worker process died" in next(iter(night.failed.values()))
-    with around_night.lock_home(tmp_path):
-        assert not nightly.run_night(landing, tmp_path, Silent()).failed
+    assert not run(landing, tmp_path).failed
 
 
 @pytest.mark.parametrize(
@@ -88,15 +89,14 @@ def test_long_past_counts_as_work(new, past, flights):
 def _night(landing: Path, home: Path) -> None:
     """A night in a process that will be killed; prints who works for it."""
 
-    class Teller(Silent):
+    class Noter(Silent):
         def advance(self, cells: int) -> None:
             (home / "workers").write_text(" ".join(str(c.pid) for c in multiprocessing.active_children()))
 
     local_executor.FLIGHTS_TO_SHARE = 1
     batches.CELLS_A_RUN = 12
     nightly.STAGES = unfolded(nightly.STAGES)
-    with around_night.lock_home(home):
-        nightly.run_night(landing, home, Teller(), jobs=2)
+    run(landing, home, Noter(), jobs=2)
 
 
 def test_workers_die_with_their_night(landing, tmp_path):

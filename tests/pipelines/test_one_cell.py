@@ -38,16 +38,16 @@ class Page:
         assert job.execute_in_process(instance=self.instance, **options).success
 
 
-def stored(home) -> dict[str, tuple[list[str], pl.DataFrame]]:
+def stored_cells(home) -> dict[str, tuple[list[str], pl.DataFrame]]:
     """Of each table its files, named by their content, and which cells the ledger says are made as what."""
     ledger = Ledger(home)
     files = Store(home).snapshot()
     return {t: (files[t][1], ledger.cells(t).sort(pl.all())) for t in TABLES}
 
 
-def changed(page) -> list[str]:
+def changed_tables(page) -> list[str]:
     """Tables that are not as the night left them."""
-    now = stored(page.home)
+    now = stored_cells(page.home)
     return [t for t in TABLES if page.night[t][0] != now[t][0] or not page.night[t][1].equals(now[t][1])]
 
 
@@ -56,10 +56,10 @@ def page(sample_landing, sample_home, tmp_path_factory) -> Iterator[Page]:
     """Of a home of its own, which every test leaves as it was."""
     home = shutil.copytree(sample_home, tmp_path_factory.mktemp("page") / "home")
     with open_instance(home) as instance:
-        yield Page(build_defs(landing=sample_landing, home=home), instance, home, stored(home))
+        yield Page(build_defs(landing=sample_landing, home=home), instance, home, stored_cells(home))
 
 
-def flown(page: Page, aircraft: str) -> list[str]:
+def flown_cells(page: Page, aircraft: str) -> list[str]:
     """Cells of an aircraft in order of departure."""
     cells = page.instance.get_materialized_partitions(dg.AssetKey("residuals"))
     return sorted(cell for cell in cells if cell.startswith(f"{aircraft}|"))
@@ -68,24 +68,27 @@ def flown(page: Page, aircraft: str) -> list[str]:
 # the calibration's, three seconds, is made beside a flight's below
 @pytest.mark.parametrize("stage", [s for s in STAGES if s.name != "calibration"], ids=lambda stage: stage.name)
 def test_remade_cell_changes_nothing(page, stage):
-    cell = {"flight": flown(page, ONE)[40], "aircraft": ONE, "fleet": None}[stage.grain]
+    cell = {"flight": flown_cells(page, ONE)[40], "aircraft": ONE, "fleet": None}[stage.grain]
     page.materialize([stage.name], partition_key=cell)
-    assert changed(page) == []
+    assert changed_tables(page) == []
 
 
 def test_remade_range_changes_nothing(page):
-    first = flown(page, ONE)[40]
-    last = flown(page, OTHER)[60]
+    first = flown_cells(page, ONE)[40]
+    last = flown_cells(page, OTHER)[60]
     per_flight = [stage.name for stage in STAGES if stage.grain == "flight"]
     page.materialize(per_flight, tags=range_tags(first, last))
     page.materialize([stage.name for stage in STAGES if stage.grain == "aircraft"], tags=range_tags(ONE, OTHER))
-    assert changed(page) == []
+    assert changed_tables(page) == []
 
 
 def test_cell_beside_fleet_changes_nothing(page):
     """One run makes a flight of the one and all of the other."""
-    page.materialize(["twin_flights", "calibration"], partition_key=flown(page, ONE)[40])
-    assert changed(page) == []
+    page.materialize(["twin_flights", "calibration"], partition_key=flown_cells(page, ONE)[40])
+    assert changed_tables(page) == []
+
+
+def test_run_without_cells_is_refused(page):
     with pytest.raises(dg.DagsterInvariantViolationError):
         page.materialize(["twin_flights"])
-    assert changed(page) == []
+    assert changed_tables(page) == []

@@ -9,7 +9,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from command import hdt
+from command import command_line, hdt
 
 from pipelines.storage.ledger import Ledger
 
@@ -61,7 +61,7 @@ def words_of(command: str, landing: Path, home: Path, out: Path) -> list[str]:
 @pytest.mark.parametrize("command", LOOKS)
 def test_reading_needs_no_write_permission(read_only, tmp_path, command):
     landing, home = read_only
-    run = [sys.executable, "-c", "from pipelines.cli import main; main()", *words_of(command, landing, home, tmp_path)]
+    run = command_line(*words_of(command, landing, home, tmp_path))
     done = subprocess.run(run, capture_output=True, text=True, check=False, preexec_fn=as_anybody)
     if command == "doctor":  # which is asked whether a night could run
         faults = [line for line in done.stdout.splitlines() if "FAULT" in line]

@@ -34,7 +34,7 @@ QUICK_S = 10.0
 """What is stopped would go on for twice as long, on an idle machine; it ends in a second there."""
 
 
-def begun(*words: str, **where) -> subprocess.Popen[bytes]:
+def start(*words: str, **where) -> subprocess.Popen[bytes]:
     """A command in a process group of its own, as a terminal starts it."""
     command = [sys.executable, "-c", SMALL, *words]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, **where)
@@ -46,15 +46,15 @@ def group_of(process: subprocess.Popen) -> list[int]:
     return [1 for state, _, group, *_ in states if int(group) == process.pid and state != "Z"]
 
 
-def stored(process: subprocess.Popen, home: Path, asset: str) -> None:
+def wait_for(process: subprocess.Popen, home: Path, asset: str) -> None:
     """Wait until the night has stored some of it."""
     while not (home / "ledger.sqlite").exists() or not Ledger(home, read_only=True).cells(asset).height:
         assert process.poll() is None, process.communicate()
         time.sleep(0.1)
 
 
-def asked_to_stop(process: subprocess.Popen, number: signal.Signals, group: bool = False) -> tuple[float, str]:
-    """Seconds it took and the last line it said."""
+def stop(process: subprocess.Popen, number: signal.Signals, group: bool = False) -> tuple[float, str]:
+    """Ask it to stop: seconds it took, and its last line."""
     began = time.monotonic()
     (os.killpg if group else os.kill)(process.pid, number)
     _, stderr = process.communicate(timeout=60)
@@ -70,10 +70,10 @@ def asked_to_stop(process: subprocess.Popen, number: signal.Signals, group: bool
 )  # fmt: skip
 def test_night_ends_at_once(sample_landing, tmp_path, number, jobs, group, after):
     home = tmp_path / "home"
-    night = begun("nightly", "--landing", str(sample_landing), "--home", str(home), "--jobs", str(jobs))
-    stored(night, home, after)
+    night = start("nightly", "--landing", str(sample_landing), "--home", str(home), "--jobs", str(jobs))
+    wait_for(night, home, after)
     assert len(group_of(night)) >= jobs
-    took_s, line = asked_to_stop(night, number, group)
+    took_s, line = stop(night, number, group)
     assert (night.returncode, line) == (CODES[number], LINE)
     assert took_s < QUICK_S
     for _ in range(50):
@@ -89,12 +89,12 @@ def test_night_ends_at_once(sample_landing, tmp_path, number, jobs, group, after
 @pytest.mark.parametrize("number", CODES)
 def test_query_ends_at_once(sample_home, tmp_path, number):
     endless = "select count(*) from range(1000000) a, range(1000000) b where sin(a.range) > b.range + 2"
-    process = begun("query", "--home", str(sample_home), endless, env=os.environ | {"TMPDIR": str(tmp_path)})
+    process = start("query", "--home", str(sample_home), endless, env=os.environ | {"TMPDIR": str(tmp_path)})
     while not list(tmp_path.glob("hdt-*")):  # its catalog is open
         assert process.poll() is None, process.communicate()
         time.sleep(0.1)
     time.sleep(0.5)
-    took_s, line = asked_to_stop(process, number)
+    took_s, line = stop(process, number)
     assert (process.returncode, line) == (CODES[number], "hdt: stopped\n")
     assert took_s < QUICK_S
     assert list(tmp_path.iterdir()) == []

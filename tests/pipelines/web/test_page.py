@@ -5,13 +5,13 @@ import json
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from browsers import CHROMIUM, NEEDS_CHROMIUM
+from command import command_line
 
 from pipelines.orchestration.runs import open_instance
 
@@ -19,10 +19,9 @@ QUERY = "{ assetNodes { assetKey { path } } }"
 
 
 @contextmanager
-def opened(landing: Path, home: Path, *options: str) -> Iterator[tuple[int, str]]:
+def open_page(landing: Path, home: Path, *options: str) -> Iterator[tuple[int, str]]:
     """The command itself on a free port: port and token, which may be none."""
-    words = ("ui", "--landing", str(landing), "--home", str(home), "--port", "0", "--no-daemon", *options)
-    command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]
+    command = command_line("ui", "--landing", landing, "--home", home, "--port", "0", "--no-daemon", *options)
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
         line = next(line for line in server.stdout if line.startswith("Dagster's page"))
         address, _, token = line.split()[-1].partition("?token=")
@@ -40,7 +39,7 @@ def home(sample_home, tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def page(sample_landing, home) -> Iterator[tuple[int, str]]:
     """Port and token of the page that may launch, where a session is open."""
-    with opened(sample_landing, home, "--launch") as (port, token):
+    with open_page(sample_landing, home, "--launch") as (port, token):
         yield port, token
 
 
@@ -53,6 +52,10 @@ def over_http(port: int, method: str, path: str, query: str | None = None, **hea
         return answer.status, answer.getheader("set-cookie", "").partition(";")[0].encode() or answer.read()
     finally:
         connection.close()
+
+
+def ask(port: int, query: str, **headers: str) -> tuple[int, bytes]:
+    return over_http(port, "POST", "/graphql", query, **headers)
 
 
 def session(port: int, token: str) -> dict[str, str]:
@@ -87,18 +90,18 @@ CHANGES = {
 
 def test_page_changes_nothing_unasked(sample_landing, home):
     before = runs(home)
-    with opened(sample_landing, home) as (plain_port, token):
+    with open_page(sample_landing, home) as (plain_port, token):
         assert token == ""
-        status, answer = over_http(plain_port, "POST", "/graphql", QUERY)
+        status, answer = ask(plain_port, QUERY)
         assert status == 200
         assert {"path": ["features"]} in [node["assetKey"] for node in json.loads(answer)["data"]["assetNodes"]]
         for name, change in CHANGES.items():
-            _, answer = over_http(plain_port, "POST", "/graphql", f"mutation {{ {change} }}")
+            _, answer = ask(plain_port, f"mutation {{ {change} }}")
             assert b"UnauthorizedError" in answer, (name, answer)
         assert over_http(plain_port, "POST", "/report_asset_materialization/features", "x")[0] == 401
-        assert b"UnauthorizedError" in over_http(plain_port, "POST", "/graphql", deletion(home))[1]
+        assert b"UnauthorizedError" in ask(plain_port, deletion(home))[1]
         assert over_http(plain_port, "GET", "/graphql?query=mutation")[0] == 405
-        assert over_http(plain_port, "POST", "/graphql", QUERY, Origin="http://evil.example")[0] == 403
+        assert ask(plain_port, QUERY, Origin="http://evil.example")[0] == 403
         assert over_http(plain_port, "GET", "/", Host="evil.example")[0] == 403
     assert runs(home) == before
 
@@ -109,18 +112,18 @@ def test_deletion_needs_the_token(page, home):
     delete = deletion(home)
     searched = f"/graphql?query={delete.replace(' ', '%20').replace(chr(34), '%22')}"
     assert over_http(port, "GET", "/?token=another")[0] == 403
-    assert [over_http(port, "POST", "/graphql", query)[0] for query in (delete, QUERY)] == [401, 401]
+    assert [ask(port, query)[0] for query in (delete, QUERY)] == [401, 401]
     own = session(port, token)
     assert over_http(port, "GET", searched, **own)[0] == 405
-    assert over_http(port, "POST", "/graphql", delete, Origin="http://evil.example", **own)[0] == 403
-    assert over_http(port, "POST", "/graphql", delete, Origin="http://127.0.0.1:1", **own)[0] == 403
-    assert over_http(port, "POST", "/graphql", delete, Cookie=f"hdt_session_{port}={token}")[0] == 401
+    assert ask(port, delete, Origin="http://evil.example", **own)[0] == 403
+    assert ask(port, delete, Origin="http://127.0.0.1:1", **own)[0] == 403
+    assert ask(port, delete, Cookie=f"hdt_session_{port}={token}")[0] == 401
     assert runs(home) == before
-    _, answer = over_http(port, "POST", "/graphql", delete, **own)
+    _, answer = ask(port, delete, **own)
     assert json.loads(answer)["data"]["deleteRun"] == {"__typename": "DeletePipelineRunSuccess"}
     assert runs(home) == before - {min(before)}
     assert over_http(port, "POST", "/logout", **own)[0] == 200
-    assert over_http(port, "POST", "/graphql", QUERY, **own)[0] == 401
+    assert ask(port, QUERY, **own)[0] == 401
 
 
 def test_socket_changes_nothing(page, home):
@@ -154,8 +157,7 @@ def test_page_works_in_browser(page, home, tmp_path):
 
 def test_taken_port_gets_one_line(page, home, sample_landing):
     port, _ = page
-    words = ("ui", "--landing", str(sample_landing), "--home", str(home), "--port", str(port), "--no-daemon")
-    command = [sys.executable, "-c", "from pipelines.cli import main; main()", *words]
+    command = command_line("ui", "--landing", sample_landing, "--home", home, "--port", port, "--no-daemon")
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "name another --port" in done.stderr

@@ -49,7 +49,7 @@ def port() -> Iterator[int]:
         thread.join()
 
 
-def closed(client: socket.socket) -> bool:
+def is_closed(client: socket.socket) -> bool:
     """Wait until the server closes a connection; false where it sends something instead."""
     try:
         return client.recv(65536) == b""
@@ -62,7 +62,7 @@ def test_unfinished_request_is_closed(port, content):
     with socket.create_connection(("127.0.0.1", port), timeout=20) as client:
         client.sendall(content)
 
-        assert closed(client)
+        assert is_closed(client)
 
 
 def test_second_unfinished_request_is_closed(port):
@@ -71,7 +71,7 @@ def test_second_unfinished_request_is_closed(port):
         assert client.recv(65536).endswith(b"answer")
         client.sendall(HEAD)
 
-        assert closed(client)
+        assert is_closed(client)
 
 
 def test_drip_of_bytes_is_closed(port):
