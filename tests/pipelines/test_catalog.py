@@ -11,6 +11,7 @@ from pathlib import Path
 
 import duckdb
 import pytest
+from answers import query, rows
 
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from pipelines.storage import catalog
@@ -40,13 +41,20 @@ def con(sample_home):
 
 @pytest.mark.parametrize("view", contract())
 def test_view_has_contract_columns(con, view):
-    columns = {c[0]: c[1] for c in con.execute(f"describe {view}").fetchall()}
-    assert set(contract()[view]) <= set(columns)
-    if view not in {"alerts", "quarantine", "silent_columns"}:  # a sound fleet has none of the last two
-        assert con.execute(f"select count(*) from {view}").fetchone()[0] > 0
-    numbers = [column for column, kind in columns.items() if kind in {"DOUBLE", "FLOAT"}]
+    assert set(contract()[view]) <= {column for column, *_ in rows(con, f"describe {view}")}
+
+
+# a sound fleet has none of the last two
+@pytest.mark.parametrize("view", sorted(contract().keys() - {"alerts", "quarantine", "silent_columns"}))
+def test_view_has_rows(con, view):
+    assert rows(con, f"select count(*) from {view}")[0][0] > 0
+
+
+@pytest.mark.parametrize("view", contract())
+def test_missing_value_is_never_nan(con, view):
+    numbers = [column for column, kind, *_ in rows(con, f"describe {view}") if kind in {"DOUBLE", "FLOAT"}]
     counts = [f'count(*) filter (isnan("{column}"))' for column in numbers]
-    n_nan = con.execute(f"select {', '.join(counts) or 'count(*)'} from {view}").fetchone()
+    (n_nan,) = rows(con, f"select {', '.join(counts) or 'count(*)'} from {view}")
     assert [column for column, n in zip(numbers, n_nan, strict=False) if n] == []
 
 
@@ -58,16 +66,19 @@ def test_catalog_lists_declared_diagnoses(sample_home):
 
 
 def test_health_has_contract_parameters(con):
-    parameters = {p for (p,) in con.execute("select distinct parameter from health_parameters").fetchall()}
+    parameters = {p for (p,) in rows(con, "select distinct parameter from health_parameters")}
     expected = {"hx_fouling", "hx_h_hot_w_k", "hx_h_cold_w_k", "cc_effective_diameter_m", "cc_efficiency_loss"}
     assert expected <= parameters
+
+
+def test_missing_health_has_a_reason(con):
     silent = "select count(*) from health_parameters where value is null and status in ('', 'ok', 'converged')"
-    assert con.execute(silent).fetchone()[0] == 0
+    assert rows(con, silent) == [(0,)]
 
 
 def test_answered_message_names_its_line(con):
     keys = "select distinct operator, tail, answered_by from {} where answered_by is not null"
-    named, lines = (set(con.execute(keys.format(view)).fetchall()) for view in ("messages", "maintenance"))
+    named, lines = (set(rows(con, keys.format(view))) for view in ("messages", "maintenance"))
 
     assert set() < named <= lines
 
@@ -113,9 +124,8 @@ def test_replaced_catalog_is_opened_anew(own_home, monkeypatch, meets):
         return con
 
     monkeypatch.setattr(duckdb, "connect", connect_slowly)
-    with connect(home) as con:
-        views = con.execute("select comment from duckdb_views() where view_name = 'flights' and schema_name = 'main'")
-        assert views.fetchall() == [("new",)]
+    comment = "select comment from duckdb_views() where view_name = 'flights' and schema_name = 'main'"
+    assert query(home, comment) == [("new",)]
     assert len(opened) == 2
 
 
@@ -126,8 +136,7 @@ def test_copied_home_reads_own_tables(sample_home, own_home):
         file.unlink()
     with connect(home) as con, pytest.raises(StoreError, match=r"raw_flights/.* can't be read .*; `hdt nightly`"):
         con.execute(COUNT)
-    with connect(sample_home) as con:
-        assert con.execute(COUNT).fetchone()[0] > 0
+    assert query(sample_home, COUNT)[0][0] > 0
 
 
 def opened(path: Path | str, cwd: Path) -> str:
@@ -141,8 +150,7 @@ def opened(path: Path | str, cwd: Path) -> str:
 def test_moved_home_needs_no_writing(own_home, tmp_path, how):
     """Also opened by DuckDB itself, by any path from any folder: copied homes, other mounts."""
     _, home = own_home
-    with connect(home) as con:
-        flights = con.execute(COUNT).fetchone()[0]
+    ((flights,),) = query(home, COUNT)
     there = tmp_path / ("o'clock" if "quote" in how else "there") / "home"
     there.parent.mkdir()
     if how == "linked":
@@ -163,16 +171,19 @@ def test_moved_home_needs_no_writing(own_home, tmp_path, how):
     assert (there / CATALOG).read_bytes() == before
 
 
-def test_catalog_can_be_attached(home, tmp_path):
+def test_catalog_can_be_attached(home):
     with duckdb.connect() as con:
         con.execute(f"attach '{home / CATALOG}' as other (read_only)")
         assert con.execute("select count(*) from other.flights").fetchone()[0] > 0
-    moved = home.rename(tmp_path / "moved")
+
+
+def test_moved_catalog_can_be_attached(home, tmp_path):
+    elsewhere = home.rename(tmp_path / "elsewhere")
     with duckdb.connect() as con:
-        con.execute(f"attach '{moved / CATALOG}' as other (read_only)")
-        con.execute(f"set variable tables_folder = '{moved / 'tables'}/'")
+        con.execute(f"attach '{elsewhere / CATALOG}' as other (read_only)")
+        con.execute(f"set variable tables_folder = '{elsewhere / 'tables'}/'")
         assert con.execute("select count(*) from other.flights").fetchone()[0] > 0
-    moved.rename(home)
+    elsewhere.rename(home)
 
 
 def run_sql(sql: str, path: Path) -> None:
@@ -210,13 +221,9 @@ def test_simultaneous_first_readers_all_answer(home, monkeypatch):
         time.sleep(0.05)
         return lock(*arguments)
 
-    def count(_: int) -> int:
-        with connect(home) as con:
-            return con.execute(COUNT).fetchone()[0]
-
     monkeypatch.setattr(catalog, "restrict", lock_late)
     with ThreadPoolExecutor(8) as pool:
-        (flights,) = set(pool.map(count, range(16)))
+        (flights,) = set(pool.map(lambda _: query(home, COUNT)[0][0], range(16)))
     assert flights > 0
 
 
@@ -242,9 +249,8 @@ def test_continued_catalog_equals_new_one(home, spoiled):
         (home / HASH).write_text("another")
     publish(home)
     expected = view_texts(home)
-    with connect(home) as con:
-        stored = con.execute("select count(*) from tables.features_alerts where tail = 'A9-BAC'").fetchone()
-    assert stored == (alerts.height - 1,)
+    stored = query(home, "select count(*) from tables.features_alerts where tail = 'A9-BAC'")
+    assert stored == [(alerts.height - 1,)]
     (home / HASH).unlink()
     publish(home)
     assert view_texts(home) == expected
