@@ -30,26 +30,21 @@ RNG = np.random.default_rng(0)
 THETAS = RNG.uniform([0.0, 0.5], [2.0, 6.0], (5, 2))
 
 
-def holed(problem):
-    """The same record with every seventh value missing."""
-    measured = problem.measured.copy()
-    measured[::7] = np.nan
-    return measured
-
-
-def both(seed=3, with_holes=False):
-    """The record as compiled and as declared."""
+def both(with_holes):
+    """The record as compiled and as declared, or with every seventh value missing."""
+    declared = oscillator_problem(3, compiled=False)
     if not with_holes:
-        return oscillator_problem(seed), oscillator_problem(seed, compiled=False)
-    declared = oscillator_problem(seed, compiled=False)
-    declared = replace(declared, measured=holed(declared))
-    kernels = oscillator_kernels(force_n(), declared.measured, SIGMA_M, DT_S, 1.0)
+        return oscillator_problem(3), declared
+    measured = declared.measured.copy()
+    measured[::7] = np.nan
+    declared = replace(declared, measured=measured)
+    kernels = oscillator_kernels(force_n(), measured, SIGMA_M, DT_S, 1.0)
     return replace(declared, kernels=kernels), declared
 
 
 @pytest.mark.parametrize("with_holes", [False, True])
 def test_compiled_functions_equal_declared_model(with_holes):
-    compiled, declared = both(with_holes=with_holes)
+    compiled, declared = both(with_holes)
     np.testing.assert_allclose(compiled.simulate(THETAS), declared.simulate(THETAS), atol=1e-13)
     np.testing.assert_allclose(compiled.chi2(THETAS), declared.chi2(THETAS), rtol=1e-11)
     np.testing.assert_allclose(compiled.sensitivity(TRUTH), declared.sensitivity(TRUTH), atol=1e-7)
@@ -62,7 +57,7 @@ def test_compiled_functions_equal_declared_model(with_holes):
     ids=["nls", "ekf", "ukf", "ekf without smoother"],
 )
 def test_compiled_estimators_equal_declared_path(estimator, with_holes):
-    fast, slow = (estimator.estimate(problem) for problem in both(with_holes=with_holes))
+    fast, slow = (estimator.estimate(problem) for problem in both(with_holes))
     np.testing.assert_allclose(fast.belief.mean, slow.belief.mean, atol=1e-6 * fast.belief.sd.min() * 10)
     np.testing.assert_allclose(fast.belief.cov, slow.belief.cov, rtol=1e-6)
     causal = getattr(estimator, "smoother_passes", 1) == 0  # keeps the errors of its early tangents, and says so

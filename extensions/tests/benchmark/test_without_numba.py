@@ -26,8 +26,7 @@ def answers():
     """Estimates of every kernel, by the path this process takes."""
     problem = oscillator_problem(0)
     methods = {"nls": NonlinearLeastSquares(), "ekf": ExtendedKalman()}
-    estimates = {name: method.estimate(problem).belief.mean for name, method in methods.items()}
-    return {name: value.tolist() for name, value in estimates.items()}
+    return {name: method.estimate(problem).belief.mean.tolist() for name, method in methods.items()}
 
 
 @pytest.fixture(scope="module")

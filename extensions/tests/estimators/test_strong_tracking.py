@@ -29,19 +29,20 @@ def gain_record(seed, before=1.0, after=1.6):
     )
 
 
+def filtered(problem):
+    """By strong tracking and by the plain filter."""
+    return StrongTracking().estimate(problem), ExtendedKalman(smoother_passes=0).estimate(problem)
+
+
 def test_jump_is_followed_without_lag():
-    problem = gain_record(0)
-    tracked = StrongTracking().estimate(problem)
-    plain = ExtendedKalman(smoother_passes=0).estimate(problem)
+    tracked, plain = filtered(gain_record(0))
     assert abs(tracked.path[JUMP_AT + 15, 0] - 1.6) < 0.1
     assert abs(plain.path[JUMP_AT + 15, 0] - 1.6) > 0.4
     assert abs(tracked.belief.mean[0] - 1.6) < 4.0 * tracked.belief.sd[0]
 
 
 def test_quiet_record_keeps_plain_filter():
-    problem = gain_record(1, after=1.0)
-    tracked = StrongTracking().estimate(problem)
-    plain = ExtendedKalman(smoother_passes=0).estimate(problem)
+    tracked, plain = filtered(gain_record(1, after=1.0))
     np.testing.assert_allclose(tracked.belief.mean, plain.belief.mean, atol=1e-9)
     np.testing.assert_allclose(tracked.belief.cov, plain.belief.cov, rtol=1e-6)
 

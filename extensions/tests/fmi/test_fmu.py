@@ -232,12 +232,12 @@ def bounced(time_s: np.ndarray, g: float, e: float) -> np.ndarray:
     speed = 0.0
     height = np.zeros(len(time_s))
     fall_s = np.sqrt(2.0 / g)
-    lasting_s = np.sqrt(2.0 / g)
+    lasting_s = fall_s
     while True:
         on = (time_s >= start_s) & (time_s <= start_s + lasting_s)
         since = time_s[on] - start_s
         height[on] = (1.0 if speed == 0.0 else 0.0) + speed * since - 0.5 * g * since**2
-        start_s = start_s + lasting_s
+        start_s += lasting_s
         speed = e * (speed or g * fall_s)
         if speed < SLOWEST:
             return height
