@@ -17,7 +17,7 @@ def test_night_leaves_out_contradicted_log(own_home):
     run(landing, home)
 
     with connect(home) as con:
-        held = con.sql("select file, reason, is_used from held_flights").fetchall()
+        faults = con.sql("select file, reason, is_used from held_flights").fetchall()
         source = con.execute("select source from flights where flight_id = ?", [log.stem]).fetchall()
-    assert held == [(log.relative_to(landing).as_posix(), "log_contradicts", True)]
+    assert faults == [(log.relative_to(landing).as_posix(), "log_contradicts", True)]
     assert source == [("acms",)]

@@ -47,8 +47,7 @@ WATER = Diagnosis(
 def raised(monkeypatch: pytest.MonkeyPatch) -> dict:
     """The alert of a sound pack that the rule calls wet."""
     monkeypatch.setitem(DIAGNOSES, WATER.code, WATER)
-    found = alerts.raise_alerts(features(np.zeros(60)), NO_LOG)
-    return found.row(0, named=True)
+    return alerts.raise_alerts(features(np.zeros(60)), NO_LOG).row(0, named=True)
 
 
 def test_own_rule_raises_alert(raised):

@@ -104,14 +104,14 @@ def test_only_contradicted_log_is_left_out(reports):
 def test_contradicted_flight_is_used_without_log():
     flights = listed([flight("LX-AA0", START, 1, log_fault="log_packs"), flight("LX-AA0", START + LATER, 2)])
 
-    held = judge_flights(flights, NO_DELIVERIES, NOW)
+    verdicts = judge_flights(flights, NO_DELIVERIES, NOW)
 
-    assert held.select("reason", "is_used", "without_log").rows() == [("log_contradicts", True, True)]
+    assert verdicts.select("reason", "is_used", "without_log").rows() == [("log_contradicts", True, True)]
 
 
 def test_ground_run_is_unused_whatever_its_log():
     ground = flight("LX-AA0", START, 1, log_fault="log_clock", highest_mach=0.0, highest_altitude_m=800.0)
 
-    held = judge_flights(listed([ground]), NO_DELIVERIES, NOW)
+    verdicts = judge_flights(listed([ground]), NO_DELIVERIES, NOW)
 
-    assert held.select("reason", "is_used").rows() == [("no_flight", False)]
+    assert verdicts.select("reason", "is_used").rows() == [("no_flight", False)]
