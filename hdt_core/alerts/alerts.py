@@ -19,6 +19,7 @@ from hdt_core.alerts.text import Figures, Text, TextList, to_json
 from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import NEW_UNIT, select_entries
+from hdt_core.tables.features import FeaturesAlerts
 
 REPEAT_DAYS = 90
 """Days within which units of one position are counted."""
@@ -28,14 +29,7 @@ REPEAT_UNITS = 3
 Replacements = dict[tuple[Any, ...], list[datetime]]
 """By component and pack, the times from which another unit was fitted."""
 
-SCHEMA: dict[str, Any] = {
-    "alert_id": pl.String, "operator": pl.String, "tail": pl.String, "pack": pl.Int32, "component": pl.String,
-    "diagnosis": pl.String, "sensor": pl.String, "raised_flight_id": pl.String, "raised_at": pl.Datetime("us", "UTC"),
-    "closed_at": pl.Datetime("us", "UTC"), "severity": pl.String, "evidence": pl.String, "evidence_phrases": pl.String,
-    "recommended_action": pl.String, "action_phrases": pl.String, "raised_severity": pl.String,
-    "now_flight_id": pl.String, "evidence_now": pl.String, "evidence_now_phrases": pl.String,
-    "closed_reason": pl.String, "follows": pl.String, "units_in_90_days": pl.Int64,
-}  # fmt: skip
+NO_ALERTS = FeaturesAlerts.create_empty()
 
 
 def raise_alerts(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | None = None) -> pl.DataFrame:
@@ -55,7 +49,7 @@ def raise_alerts(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limi
         The columns of the catalog's `alerts`. `alert_id` is a function of the data: `alerts.succession` follows a case.
     """
     if features.is_empty():
-        return pl.DataFrame(schema=SCHEMA)
+        return NO_ALERTS
     limits = limits or Limits()
     grid = Grid.from_frame(features)
     # doors first, then sensors, then wear: what a faulty door or sensor explains is not called wear
@@ -78,7 +72,7 @@ def alert_rows(
     """Return cases as rows of the catalog, in order of the flights that raised them."""
     replacements = _replacement_times(maintenance, {diagnoses[case.diagnosis].component for case in cases})
     rows = [_alert_row(grid, replacements, case, diagnoses[case.diagnosis]) for case in cases]
-    alerts = pl.DataFrame(rows, schema=SCHEMA, orient="row").unique("alert_id", keep="first", maintain_order=True)
+    alerts = pl.DataFrame(rows, schema=NO_ALERTS.schema).unique("alert_id", keep="first", maintain_order=True)
     return alerts.sort("raised_at", "tail", "pack", "alert_id")
 
 
@@ -90,8 +84,8 @@ def wear_cases(grid: Grid, maintenance: pl.DataFrame, limits: Limits, disturbanc
     return exchangers + low + compressors
 
 
-def _alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis[Any]) -> tuple[Any, ...]:
-    """Return a case as a row of `SCHEMA`."""
+def _alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnosis[Any]) -> dict[str, Any]:
+    """Return a case as a row of `FeaturesAlerts`."""
     operator, tail, pack = grid.units.row(case.unit)
     n_flights = grid.count(case.unit)
     end = case.closed_flight if case.closed_flight is not None and case.closed_flight < n_flights else None
@@ -102,15 +96,30 @@ def _alert_row(grid: Grid, replacements: Replacements, case: Case, kind: Diagnos
     now = kind.evidence(latest, since)
     units = _count_units(grid, replacements, case, kind)
     action = TextList([*_action_of(kind, units), *kind.addendum(at_raise)])
-    return (
-        alert_id_of(grid, case), operator, tail, pack, case.component, case.diagnosis, sensor_of(case),
-        grid.value("flight_id", case.unit, case.raised_flight),
-        grid.value("departed_at", case.unit, case.raised_flight),
-        case.ended_at if end is None else grid.value("departed_at", case.unit, end),
-        kind.severity(latest), at_first.text(), at_first.to_json(), action, to_json(action), kind.severity(at_raise),
-        grid.value("flight_id", case.unit, last), now.text(), now.to_json(),
-        case.ended_reason if end is None else case.closed_reason, case.facts.get("follows"), units,
-    )  # fmt: skip
+    return {
+        "alert_id": alert_id_of(grid, case),
+        "operator": operator,
+        "tail": tail,
+        "pack": pack,
+        "component": case.component,
+        "diagnosis": case.diagnosis,
+        "sensor": sensor_of(case),
+        "raised_flight_id": grid.value("flight_id", case.unit, case.raised_flight),
+        "raised_at": grid.value("departed_at", case.unit, case.raised_flight),
+        "closed_at": case.ended_at if end is None else grid.value("departed_at", case.unit, end),
+        "severity": kind.severity(latest),
+        "evidence": at_first.text(),
+        "evidence_phrases": at_first.to_json(),
+        "recommended_action": action,
+        "action_phrases": to_json(action),
+        "raised_severity": kind.severity(at_raise),
+        "now_flight_id": grid.value("flight_id", case.unit, last),
+        "evidence_now": now.text(),
+        "evidence_now_phrases": now.to_json(),
+        "closed_reason": case.ended_reason if end is None else case.closed_reason,
+        "follows": case.facts.get("follows"),
+        "units_in_90_days": units,
+    }
 
 
 def _replacement_times(maintenance: pl.DataFrame, components: Iterable[str]) -> Replacements:

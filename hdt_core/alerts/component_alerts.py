@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from hdt_core.alerts.alerts import SCHEMA, alert_rows
+from hdt_core.alerts.alerts import NO_ALERTS, alert_rows
 from hdt_core.alerts.cases import Case, Grid, Limits, runs
 from hdt_core.alerts.diagnosis import Diagnosis
 from hdt_core.alerts.endings import close_after_work
@@ -101,7 +101,7 @@ def raise_component_alerts(
     """
     own = features.filter(pl.col("component") == component.code)
     if own.is_empty():
-        return pl.DataFrame(schema=SCHEMA)
+        return NO_ALERTS
     grid = Grid.from_frame(own)
     diagnosis = diagnosis_of(component, limits)
     cases = _wear_cases(grid, maintenance, component, limits)

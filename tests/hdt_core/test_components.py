@@ -117,4 +117,4 @@ def test_huber_location_is_nearly_efficient():
 
 
 def test_huber_weights_need_no_scale():
-    assert (huber_weights(np.array([0.0, 1.0]), 0.0) == [1.0, huber_weights(np.array([1.0]), 0.0)[0]]).all()
+    assert huber_weights(np.array([0.0, 1.0]), 0.0) == pytest.approx([1.0, 1.345e-9])

@@ -5,7 +5,7 @@ import datetime as dt
 import polars as pl
 import pytest
 
-from hdt_core.alerts.alerts import SCHEMA
+from hdt_core.alerts.alerts import NO_ALERTS
 from hdt_core.alerts.answers import alerts_now
 from hdt_core.tables.raw import RawMaintenance
 
@@ -16,7 +16,7 @@ OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
 
 def alerts(diagnosis: str, component: str, **more) -> pl.DataFrame:
     row = OWN | {"alert_id": "a", "diagnosis": diagnosis, "component": component, "raised_at": RAISED} | more
-    return pl.DataFrame([dict.fromkeys(SCHEMA) | row], schema=SCHEMA)
+    return pl.DataFrame([row], schema=NO_ALERTS.schema)
 
 
 def work(component: str, action: str, **more) -> pl.DataFrame:
