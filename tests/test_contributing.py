@@ -50,6 +50,51 @@ class FlightCounts(Table):
     tail = tail_key()
     n_flights = count("flights on record")
 '''
+DIAGNOSIS = '''"""A pack that has flown three times."""
+
+from dataclasses import dataclass
+
+from hdt_core.alerts.cases import Case
+from hdt_core.alerts.diagnosis import Diagnosis
+from hdt_core.alerts.evidence import Evidence
+from hdt_core.alerts.facts import Facts
+from hdt_core.alerts.text import Figures, Phrase, Text
+
+FLOWN = Phrase("{flights} flights since {since}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlownFacts(Facts):
+    """Of a pack that flies."""
+
+    flights: int
+
+
+def find_flown(grid, maintenance, limits, disturbances):
+    """Find packs with three flights."""
+    units = range(grid.units.height)
+    return [Case(unit, "HX", "HX_FLOWN", 2, None, {"since": 0, "flights": 3}) for unit in units]
+
+
+def evidence(facts, since):
+    """Return how often it has flown."""
+    return Evidence((Text(FLOWN, flights=Figures(str(facts.flights)), since=since),), (), "a miscount", "Nothing")
+
+
+DIAGNOSES = (
+    Diagnosis(
+        code="HX_FLOWN",
+        component="HX",
+        name="flown",
+        action="Admire it",
+        ended_by=("REPLACED",),
+        record=FlownFacts,
+        severity=lambda facts: "low",
+        evidence=evidence,
+        rule=find_flown,
+    ),
+)
+'''
 VIEW = """-- Which aircraft have flown most?
 -- Grain: operator, tail. Reads: tables.flight_counts.
 create or replace view busiest as
@@ -66,13 +111,14 @@ def replaced(path: Path, before: str, after: str) -> None:
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory) -> Path:
-    """A copy with one more estimator, feature, stage and view, by the table of CONTRIBUTING.md."""
+    """A copy with one more estimator, diagnosis, feature, stage and view, by the table of CONTRIBUTING.md."""
     top = tmp_path_factory.mktemp("tree")
     for folder in CODE:
         shutil.copytree(ROOT / folder, top / folder, ignore=shutil.ignore_patterns("__pycache__"))
     for file in ("pyproject.toml", "README.md", "CONTRIBUTING.md"):
         shutil.copy(ROOT / file, top / file)
     (top / "data_samples").symlink_to(ROOT / "data_samples")
+    (top / "hdt_core/alerts/diagnoses/flown.py").write_text(DIAGNOSIS)
     install(top, "patient", ESTIMATOR, "patient = patient:PatientLeastSquares", "hdt.estimators")
     replaced(top / "hdt_core/health/features.py", '    if "flight_hours" in names:\n', (
         '    if "hx_fouling" in names:\n'
@@ -139,5 +185,7 @@ def test_night_makes_additions(tree, tmp_path):
     done = python(tree, "-c", night, "nightly", "--landing", str(landing), "--home", str(tmp_path / "home"))
     assert done.returncode == 0, done.stdout + done.stderr
     with duckdb.connect(str(tmp_path / "home/catalog.duckdb"), read_only=True) as con:
+        alerts = con.sql("select pack, recommended_action from alerts where diagnosis = 'HX_FLOWN' order by pack")
+        assert alerts.fetchall() == [(1, "Admire it"), (2, "Admire it")]
         assert con.sql("select tail, n_flights from busiest").fetchall() == [("LX-AAB", 6)]
         assert con.sql("select count(*) from features where hx_fouling_squared = hx_fouling ** 2").fetchall()[0][0] > 0
