@@ -89,10 +89,11 @@ def read_state(con: duckdb.DuckDBPyConnection, tasks: Tasks | None = None) -> St
     ((until,),) = con.execute(_UNTIL).fetchall()
     units = read_rows(con, tasks) if tasks is not None else []
     work = {unit["alert_id"] or unit.key: unit.work() for unit in units if unit.needs_work}
-    alerts = {
-        row["case_id"]: row | {"work": work.get(row["alert_id"]) or work_text(tasks or {}, row)}
-        for row in _rows(con, _ALERTS)
-    }
+    alerts = {}
+    for row in _rows(con, _ALERTS):
+        text = work.get(row["alert_id"]) or work_text(tasks or {}, row)
+        del row["action_phrases"]  # of no use to a receiver
+        alerts[row["case_id"]] = row | {"work": text}
     without_alert = [row | {"work": work.get(unit_key(row), "")} for row in _rows(con, _WITHOUT_ALERT)]
     return {
         "until": until,
