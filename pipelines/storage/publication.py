@@ -255,10 +255,15 @@ def add_named_views(con: duckdb.DuckDBPyConnection, names: Sequence[Name], store
         _comment_views(con)
 
 
+def list_diagnoses(con: duckdb.DuckDBPyConnection) -> None:
+    """Make `tables.diagnoses()`, the codes of the diagnoses that are declared."""
+    con.execute(f"create or replace macro tables.diagnoses() as {list(DIAGNOSES)}")
+
+
 def update_files(con: duckdb.DuckDBPyConnection, store: Store, tables: Tables, names: Sequence[Name]) -> set[str]:
     """Update place and files, and the view of each table whose files have changed; return those."""
     con.execute(f"create or replace macro tables.folder() as {_folder(store)}")
-    con.execute(f"create or replace macro tables.diagnoses() as {list(DIAGNOSES)}")
+    list_diagnoses(con)
     _set_macros(con, {"made_for": _place_hash(store), "made_as": _recipe_hash()})
     old: dict[str, list[str]] = {}
     for (path,) in con.execute("select path from tables.files order by path").fetchall():

@@ -23,8 +23,8 @@ from pipelines.cli.base import ORDER, app
 from pipelines.cli.make import DEMO
 from pipelines.intake.scan import scan
 from pipelines.orchestration.around_night import lock_home
-from pipelines.report.words import finding, tidy
 from pipelines.storage.ledger import Ledger
+from pipelines.words.evidence import WITH_COLUMNS, action_text, evidence_text
 
 COMMANDS = ("nightly", "backfill", "status", "report", "query", "explain", "export", "ui", "simulate", "doctor", "tidy")
 
@@ -184,11 +184,13 @@ def test_wrong_query_gets_one_line(sample_home):
 
 
 def test_explain_shows_an_alert(sample_home):
-    columns = "alert_id, evidence, evidence_now, recommended_action"
+    columns = "alert_id, evidence_phrases, evidence_now_phrases, action_phrases"
     alert = f"select {columns} from alerts order by evidence = evidence_now limit 1"
     ((name, then, now, action),) = query(sample_home, alert)
     text = " ".join(hdt("explain", name[:8], "--home", sample_home).stdout.split())
-    assert [part for part in (finding(then), tidy(now), action) if part not in text] == []
+    first = evidence_text(then, WITH_COLUMNS, has_alternatives=False)
+    parts = (first, evidence_text(now, WITH_COLUMNS), action_text(action))
+    assert [part for part in parts if part not in text] == []
 
 
 def test_unknown_alert_is_refused(sample_home):

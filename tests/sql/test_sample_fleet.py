@@ -12,6 +12,7 @@ from answers import CHECKS, rows
 from docs.dictionary import dictionary, view_columns
 from hdt_core.tables import TABLES
 from pipelines.storage.catalog import CATALOG
+from pipelines.storage.publication import list_diagnoses
 from pipelines.storage.view_headers import read_header, views
 
 ROOT = Path(__file__).parents[2]
@@ -234,6 +235,7 @@ def copied(sample) -> Iterator[duckdb.DuckDBPyConnection]:
     frame = sample.sql("select * from tables.components").to_arrow_table()  # noqa: F841
     con.execute("create schema tables")
     con.execute("create table tables.components as select * from frame")
+    list_diagnoses(con)
     yield con
     con.close()
 

@@ -10,6 +10,7 @@ from alert_texts import evidence_of, text_columns
 
 from hdt_core.components import component_rows
 from hdt_core.tables import TABLES
+from pipelines.storage.publication import list_diagnoses
 from pipelines.storage.view_headers import views
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
@@ -30,6 +31,7 @@ def _empty_catalog() -> duckdb.DuckDBPyConnection:
     """Views over tables without a row, half a second's work."""
     con = duckdb.connect()
     con.execute("create schema tables")
+    list_diagnoses(con)
     for name, table in TABLES.items():
         arrow_table = table.schema.create_empty().to_arrow()  # noqa: F841
         con.execute(f"create table tables.{name} as select * from arrow_table")

@@ -14,9 +14,8 @@ from hdt_core.alerts.diagnosis import Diagnosis
 from hdt_core.alerts.disturbances import Disturbances
 from hdt_core.alerts.evidence import Evidence
 from hdt_core.alerts.facts import Facts
-from hdt_core.alerts.text import Phrase, Text
-
-WET = Phrase("water behind the exchanger since {since}")
+from hdt_core.alerts.phrases import ABOVE
+from hdt_core.alerts.text import Text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +37,7 @@ WATER = Diagnosis(
     ended_by=("CLEANED",),
     record=WaterFacts,
     severity=lambda facts: "high" if facts.litres > 1.0 else "low",
-    evidence=lambda facts, since: Evidence((Text(WET, since=since),), (), "rain", "Waiting costs ice"),
+    evidence=lambda facts, since: Evidence((Text(ABOVE, value=since),), (), "rain", "Waiting costs ice"),
     rule=find_water,
 )
 
@@ -55,7 +54,7 @@ def test_own_rule_raises_alert(raised):
 
 
 def test_own_phrase_is_stored(raised):
-    assert WET in raised["evidence_phrases"]
+    assert ABOVE in raised["evidence_phrases"]
 
 
 def test_every_shipped_diagnosis_is_collected():

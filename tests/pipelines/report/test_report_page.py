@@ -7,6 +7,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from alert_texts import evidence_of, text_columns
 
 from pipelines.report.facts import Facts, read_facts
 from pipelines.report.page import page, write_report
@@ -278,10 +279,14 @@ def test_few_flights_make_a_page(facts, read, n):
 
 
 def test_hostile_names_stay_text(facts, read, hostile, parsed):
+    evidence = evidence_of(hostile, ("Supports", hostile))
+
     def poison(frame: pl.DataFrame) -> pl.DataFrame:
         codes = {"gap", "urgency", "parameter", "severity", "scope", "kind", "action", "component"}
-        texts = [c for c, t in frame.schema.items() if t == pl.String and c not in codes]
-        return frame.with_columns(pl.concat_str(pl.col(c).fill_null(""), pl.lit(hostile)).alias(c) for c in texts)
+        stored = {c: text for c, text in text_columns(evidence, evidence, hostile).items() if c.endswith("_phrases")}
+        texts = [c for c, t in frame.schema.items() if t == pl.String and c not in {*codes, *stored}]
+        poisoned = [pl.concat_str(pl.col(c).fill_null(""), pl.lit(hostile)).alias(c) for c in texts]
+        return frame.with_columns(*poisoned, *(pl.lit(v).alias(c) for c, v in stored.items() if c in frame.columns))
 
     frames = {name: poison(f) for name, f in facts.frames.items()}
     bad = replace(facts, frames=frames, card={hostile: {hostile: hostile}, "list": [hostile]})
