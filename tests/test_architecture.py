@@ -149,3 +149,13 @@ def joins(tree: ast.AST) -> Iterator[tuple[int, str | None]]:
             arguments = {k.arg: k.value.value if isinstance(k.value, ast.Constant) else None for k in node.keywords}
             if "on" in arguments and arguments.get("how") not in ("semi", "anti", "cross"):
                 yield node.lineno, arguments.get("validate")
+
+
+def test_worker_imports_start_no_pool():
+    """A worker is forked after its imports, and a fork has none of the threads that Polars then waits for."""
+    names = "[open(f'/proc/self/task/{t}/comm').read() for t in os.listdir('/proc/self/task')]"
+    code = f"import os, pipelines.orchestration.worker; print(*{names}, sep='')"
+
+    threads = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+
+    assert {"polars-0", "tokio-rt-worker"}.isdisjoint(threads)

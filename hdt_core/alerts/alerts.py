@@ -29,8 +29,6 @@ REPEAT_UNITS = 3
 Replacements = dict[tuple[Any, ...], list[datetime]]
 """By component and pack, the times from which another unit was fitted."""
 
-NO_ALERTS = FeaturesAlerts.create_empty()
-
 
 def raise_alerts(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limits | None = None) -> pl.DataFrame:
     """Raise the alerts of a fleet, one row a case.
@@ -49,7 +47,7 @@ def raise_alerts(features: pl.DataFrame, maintenance: pl.DataFrame, limits: Limi
         The columns of the catalog's `alerts`. `alert_id` is a function of the data: `alerts.succession` follows a case.
     """
     if features.is_empty():
-        return NO_ALERTS
+        return FeaturesAlerts.create_empty()
     limits = limits or Limits()
     grid = Grid.from_frame(features)
     # doors first, then sensors, then wear: what a faulty door or sensor explains is not called wear
@@ -72,7 +70,8 @@ def alert_rows(
     """Return cases as rows of the catalog, in order of the flights that raised them."""
     replacements = _replacement_times(maintenance, {diagnoses[case.diagnosis].component for case in cases})
     rows = [_alert_row(grid, replacements, case, diagnoses[case.diagnosis]) for case in cases]
-    alerts = pl.DataFrame(rows, schema=NO_ALERTS.schema).unique("alert_id", keep="first", maintain_order=True)
+    schema = FeaturesAlerts.create_empty().schema
+    alerts = pl.DataFrame(rows, schema=schema).unique("alert_id", keep="first", maintain_order=True)
     return alerts.sort("raised_at", "tail", "pack", "alert_id")
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from hdt_core.alerts.alerts import NO_ALERTS, alert_rows
+from hdt_core.alerts.alerts import alert_rows
 from hdt_core.alerts.cases import Case, Grid, Limits, runs
 from hdt_core.alerts.diagnosis import Diagnosis
 from hdt_core.alerts.endings import close_after_work
@@ -17,6 +17,7 @@ from hdt_core.components import Component
 from hdt_core.health.detection import persistent
 from hdt_core.health.features import features
 from hdt_core.records.keys import LEG_AT
+from hdt_core.tables.features import FeaturesAlerts
 
 UNIT_LOST = Phrase(
     "{lost}{name} {loss}, {sigma} times its uncertainty; above {limit} % since {since}, and with probability {odds}"
@@ -101,7 +102,7 @@ def raise_component_alerts(
     """
     own = features.filter(pl.col("component") == component.code)
     if own.is_empty():
-        return NO_ALERTS
+        return FeaturesAlerts.create_empty()
     grid = Grid.from_frame(own)
     diagnosis = diagnosis_of(component, limits)
     cases = _wear_cases(grid, maintenance, component, limits)

@@ -5,8 +5,8 @@ import datetime as dt
 import polars as pl
 import pytest
 
-from hdt_core.alerts.alerts import NO_ALERTS
 from hdt_core.alerts.answers import alerts_now
+from hdt_core.tables.features import FeaturesAlerts
 from hdt_core.tables.raw import RawMaintenance
 
 RAISED = dt.datetime(2024, 5, 1, 6, tzinfo=dt.UTC)
@@ -16,7 +16,7 @@ OWN = {"operator": "AAA", "tail": "T-1", "pack": 1}
 
 def alerts(diagnosis: str, component: str, **more) -> pl.DataFrame:
     row = OWN | {"alert_id": "a", "diagnosis": diagnosis, "component": component, "raised_at": RAISED} | more
-    return pl.DataFrame([row], schema=NO_ALERTS.schema)
+    return pl.DataFrame([row], schema=FeaturesAlerts.create_empty().schema)
 
 
 def work(component: str, action: str, **more) -> pl.DataFrame:
