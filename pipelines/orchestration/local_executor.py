@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import forkserver, get_context, resource_tracker
+from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,8 +41,8 @@ class LocalExecutor:
     def __init__(self, landing: Path, home: Path, jobs: int) -> None:
         self.landing, self.home, self.jobs = landing.resolve(), home.resolve(), jobs
         # not forked from this process, whose threads a fork would lose, but from one that has loaded what they need
-        self._forked = get_context("forkserver")
-        self._forked.set_forkserver_preload([WORKER])
+        self._context: BaseContext = get_context("forkserver")
+        self._context.set_forkserver_preload([WORKER])
         self._pool: ProcessPoolExecutor | None = None
 
     def process_count(self, flights: int) -> int:
@@ -63,12 +64,22 @@ class LocalExecutor:
 
         A worker that dies, as when memory runs out, fails the step; the night reports it and the next one goes on.
         """
+        from pipelines.orchestration.worker import LostPoolError
+
+        try:
+            yield from self._results(tables, batches, label)
+        except LostPoolError:  # of every batch: a package makes a query while it is loaded, so each worker loads it
+            self.close()
+            self._context = get_context("spawn")
+            yield from self._results(tables, batches, label)
+
+    def _results(self, tables: list[str], batches: list[PartitionBatch], label: str) -> Iterator[BatchResult]:
         from pipelines.orchestration import worker
 
         try:
             with block_stop_signals():  # a submission starts the process
                 if self._pool is None:
-                    self._pool = ProcessPoolExecutor(self.jobs, self._forked, worker.begin, (dict(os.environ),))
+                    self._pool = ProcessPoolExecutor(self.jobs, self._context, worker.begin, (dict(os.environ),))
                 futures = [self._pool.submit(worker.make, self.landing, self.home, tables, b, label) for b in batches]
             for future in as_completed(futures):
                 yield future.result()

@@ -16,6 +16,19 @@ from pipelines.orchestration.runs import BY, Runner, open_instance
 from pipelines.storage.ledger import Ledger
 
 dg.load_assets_from_package_module(assets)  # loads the stages, the slowest part
+_LOADING_PROCESS = os.getpid()
+
+
+class LostPoolError(Exception):
+    """The process lacks the threads of the one it was forked from, and its first query would wait for them for ever."""
+
+
+def _has_pool() -> bool:
+    """Return whether Polars' pool of threads runs, as after a query that a package makes while it is loaded."""
+    return any(name.read_text() == "polars-0\n" for name in Path("/proc/self/task").glob("*/comm"))
+
+
+_HAD_POOL = _has_pool()
 
 
 def begin(environment: Mapping[str, str]) -> None:
@@ -35,7 +48,15 @@ def _end_with_the_night() -> None:
 
 
 def make(landing: Path, home: Path, tables: list[str], batch: PartitionBatch, label: str) -> BatchResult:
-    """Make one batch by `Runner.make`."""
+    """Make one batch by `Runner.make`.
+
+    Raises
+    ------
+    LostPoolError
+        This process was forked from one with Polars' threads.
+    """
+    if _HAD_POOL and os.getpid() != _LOADING_PROCESS:
+        raise LostPoolError
     return _runner(landing, home).make(tables, batch, label)
 
 

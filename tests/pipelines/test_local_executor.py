@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -41,15 +40,23 @@ def small_blocks(monkeypatch) -> None:
     monkeypatch.setattr(nightly, "STAGES", unfolded(stages_of(0, 5)))
 
 
-def test_workers_inherit_no_polars_threads():
-    """A fork has the locks of the engine's threads and none of the threads: its first query would never end."""
-    code = """
-import os
-import pipelines.orchestration.worker
-print(*sorted({open(f"/proc/self/task/{t}/comm").read().strip() for t in os.listdir("/proc/self/task")}), sep=",")
-"""
-    names = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert not [name for name in names.split(",") if name.startswith(("polars-0", "polars-1", "async-exec"))], names
+def _eager_night(landing: Path, home: Path) -> None:
+    """A night whose workers' modules make a query while they are loaded."""
+    os.environ["PYTHONPATH"] = str(Path(__file__).parents[1] / "support")  # the forking process imports by it
+    local_executor.WORKER = "eager_worker"
+    local_executor.FLIGHTS_TO_SHARE = 1
+    batches.CELLS_A_RUN = 12
+    nightly.STAGES = unfolded(stages_of(0, 5))
+    sys.exit(bool(run(landing, home, jobs=2).failed))
+
+
+def test_query_at_import_does_not_hang(landing, tmp_path):
+    """A fork has the locks of the engine's threads and none of the threads."""
+    night = multiprocessing.get_context("spawn").Process(target=_eager_night, args=(landing, tmp_path))
+    night.start()
+    night.join(300.0)
+
+    assert night.exitcode == 0
 
 
 def test_two_processes_equal_one(landing, tmp_path, small_blocks, monkeypatch):
