@@ -182,6 +182,11 @@ def test_repair_explains_step(component, flight, raised):
     assert len(fouling(0.14, work_before(flight, component), hx_fouling_step_3=JUMP)) == raised
 
 
+def test_clog_states_its_first_flight():
+    cases = fouling(np.where(FLIGHT < 50, 0.04, 0.14), hx_fouling_step_3=JUMP)
+    assert [case.facts["since"] for case in cases] == [50]
+
+
 @pytest.mark.parametrize(("rise", "names"), [(88, ["HX_SUDDEN_CLOG"]), (89, ["HX_SUDDEN_CLOG", "HX_FOULING"])])
 def test_jump_joins_its_loss(rise, names):
     """Within forty flights they are one case."""

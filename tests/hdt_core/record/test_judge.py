@@ -129,8 +129,9 @@ def test_day_exchanged_with_month_is_named(good):
     assert judge(without(good, right), wrong)["likely_cause"].to_list() == ["day_month_exchanged"]
 
 
-def test_default_date_is_named(good):
-    wrong = listed([flight("LX-AA1", datetime(2000, 1, 1, 3, tzinfo=START.tzinfo), 1)])
+@pytest.mark.parametrize("day", [(1980, 1, 6), (1999, 8, 22), (2000, 1, 1), (2019, 4, 7)])
+def test_default_date_is_named(good, day):
+    wrong = listed([flight("LX-AA1", datetime(*day, 3, tzinfo=START.tzinfo), 1)])
 
     assert judge(good, wrong)["likely_cause"].to_list() == ["default_date"]
 

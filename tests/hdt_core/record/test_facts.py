@@ -1,0 +1,49 @@
+"""Facts of a flight from its recorded rows: steps back of the clock, in the order of each file."""
+
+from datetime import timedelta
+
+import polars as pl
+import pytest
+
+from hdt_core.record.facts import flight_facts
+from hdt_core.tables.raw import RawSnapshots
+from tests.support.flight_lists import START
+
+KEY = {"operator": "AQX", "tail": "LX-AAA", "flight_id": "LX-AAA_20240304_01", "source": "acms", "file": "a.csv"}
+
+
+def facts_of(minutes: list[int], first_row: int = 2) -> dict:
+    """Facts of one pack's reports at these minutes, in the order of their file."""
+    rows = [
+        KEY | {"pack": 1, "time_utc": START + timedelta(minutes=m), "row_in_file": first_row and first_row + k}
+        for k, m in enumerate(minutes)
+    ]
+    frame = pl.DataFrame(rows)
+    numbers = frame["row_in_file"]
+    return flight_facts(RawSnapshots.conform(frame).with_columns(numbers)).row(0, named=True)
+
+
+@pytest.mark.parametrize(
+    ("minutes", "back_s", "n"),
+    [
+        ([0, 5, 10, 15], 0, 0),
+        ([0, 5, 2, 7], 180, 1),
+        ([0, 5, 2, 7, 3, 8], 240, 2),
+        # parts of a file in exchanged order: nothing is missing between them
+        ([10, 15, 0, 5], 0, 0),
+        # and where three hours are, the clock was set
+        ([240, 245, 0, 5], 14_700, 1),
+    ],
+)
+def test_steps_back_are_counted(minutes, back_s, n):
+    facts = facts_of(minutes)
+
+    assert (facts["clock_back_s"], facts["n_steps_back"]) == (back_s, n)
+
+
+def test_stored_rows_have_no_order():
+    assert facts_of([0, 5, 2, 7], first_row=0)["n_steps_back"] == 0
+
+
+def test_departure_is_the_first_time():
+    assert facts_of([0, 5, 2, 7])["departed_at"] == START
