@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.record.exchange import BETWEEN_PACKS, EXCHANGED, exchanged_packs
+from hdt_core.record.exchange import BETWEEN_PACKS, EXCHANGED, are_reversed, exchanged_packs
 from hdt_core.record.judge import judge_flights
 from hdt_core.record.usable import usable_rows
 from tests.support.flight_lists import NOW, fleet
@@ -107,3 +107,63 @@ def test_exchanged_packs_are_swapped_back():
     used = usable_rows(rows, reasons)
 
     assert used.select("flight_id", "pack").rows() == [("a", 1), ("a", 2), ("b", 2), ("b", 1)]
+
+
+NAMES = list(BETWEEN_PACKS)
+THREE = ("hx_in_between_packs_k", "hx_out_between_packs_k", "cc_out_between_packs_pa")
+KELVIN = ("hx_in_between_packs_k", "hx_out_between_packs_k", "cc_in_between_packs_k")
+OTHERS = ("ram_door_between_packs", "pack_flow_between_packs_kg_s", "cc_out_between_packs_pa")
+
+
+def differences(**values: float) -> np.ndarray:
+    """How two packs differ, in standard deviations; 0 where not given."""
+    return np.array([[values.get(name, 0.0) for name in NAMES]])
+
+
+def reversed_by(ratio: float, before: float = 2.0, names: tuple[str, ...] = THREE) -> bool:
+    """Whether packs that differ so much in these signals changed places where each difference is multiplied."""
+    usual = differences(**dict.fromkeys(names, before))
+    return bool(are_reversed(usual, ratio * usual)[0])
+
+
+@pytest.mark.parametrize(("names", "are"), [(THREE, True), (THREE[1:], False), (KELVIN, False), (OTHERS, False)])
+def test_exchange_shows_in_both_kinds(names, are):
+    """Three signals, of which one is a temperature and another is none."""
+    assert reversed_by(-1.0, names=names, before=3.0) is are
+
+
+@pytest.mark.parametrize(("before", "are"), [(1.42, True), (1.41, False)])
+def test_exchange_needs_evidence(before, are):
+    """Five flights of three signals: 15 times the square above 30."""
+    assert reversed_by(-1.0, before=before) is are
+
+
+@pytest.mark.parametrize(("ratio", "are"), [(-0.41, True), (-0.39, False), (-1.59, True), (-1.61, False)])
+def test_exchange_keeps_size(ratio, are):
+    assert reversed_by(ratio) is are
+
+
+@pytest.mark.parametrize(("third", "are"), [(-0.21, True), (-0.19, False)])
+def test_each_clear_difference_is_reversed(third, are):
+    before = differences(**dict.fromkeys(THREE, 2.0))
+    after = before * np.where(np.array(NAMES) == THREE[2], third, -1.0)
+
+    assert bool(are_reversed(before, after)[0]) is are
+
+
+@pytest.mark.parametrize(("share", "are"), [(0.75, True), (0.76, False)])
+def test_known_exchange_needs_share(share, are):
+    """Three of four clear differences."""
+    before = differences(**dict.fromkeys((*THREE, OTHERS[0]), 2.0))
+    after = before * np.where(np.array(NAMES) == OTHERS[0], 1.0, -1.0)
+
+    assert bool(are_reversed(before, after, share)[0]) is are
+
+
+@pytest.mark.parametrize(("small", "n"), [(0.79, 3), (0.81, 4)])
+def test_small_difference_is_not_clear(small, n):
+    """One that keeps its sign forbids the exchange, but where it is too small to count."""
+    before = differences(**dict.fromkeys(THREE, 2.0), **{OTHERS[0]: small})
+    after = before * np.where(np.array(NAMES) == OTHERS[0], 1.0, -1.0)
+
+    assert bool(are_reversed(before, after)[0]) is (n == 3)

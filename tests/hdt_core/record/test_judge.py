@@ -215,3 +215,22 @@ def test_ten_distant_flights_need_a_cause(good, n, n_held):
     right = nth(good, "LX-AA1", *range(n))
 
     assert judge(without(good, right), shift_flights(right, "100d")).height == n_held
+
+
+@pytest.mark.parametrize(
+    ("back_s", "cause"), [(86_400, "midnight"), (86_401, None), (75_600, "midnight"), (75_599, None)]
+)
+def test_midnight_takes_a_day_back(good, back_s, cause):
+    """But for the time between two reports."""
+    run = flight("LX-AA0", START + timedelta(days=3, hours=14), 4, clock_back_s=back_s, n_steps_back=1)
+
+    verdict = judge(good, listed([run]))
+
+    assert verdict["likely_cause"].to_list() == [cause]
+
+
+@pytest.mark.parametrize(("back_s", "n_held"), [(60, 0), (61, 1)])
+def test_clock_set_back_by_minutes(good, back_s, n_held):
+    run = flight("LX-AA0", START + timedelta(days=3, hours=14), 4, clock_back_s=back_s, n_steps_back=1)
+
+    assert judge(good, listed([run])).height == n_held

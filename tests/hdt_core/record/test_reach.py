@@ -64,3 +64,22 @@ def test_flights_before_delivery_have_no_company():
     early = fly(HOME, 0)
     record = fly(HOME, *range(40, 70))
     assert find_held_days(record, early, other, delivered_on=date(2024, 2, 5)) == [0]
+
+
+@pytest.mark.parametrize(("pause_days", "days"), [(19.9, []), (20.1, [29])])
+def test_weekly_flights_reach_further(pause_days, days):
+    """Twenty usual gaps of a day, of 24 hours less the flight."""
+    record = fly(HOME, *(d * 1.0 for d in range(8)), hours=0.0)
+    late = fly(HOME, 7 + pause_days, hours=0.0).with_columns(flight_id=pl.lit("AAA_LX-1_29"))
+
+    assert find_held_days(record, late) == days
+
+
+@pytest.mark.parametrize(("n", "days"), [(9, list(range(100, 109))), (10, [])])
+def test_ten_flights_need_a_cause(n, days):
+    assert find_held_days(fly(HOME, *range(30)), fly(HOME, *range(100, 100 + n))) == days
+
+
+@pytest.mark.parametrize(("n_others", "days"), [(9, []), (10, [300])])
+def test_new_aircraft_needs_a_fleet(n_others, days):
+    assert find_held_days(fly(HOME, 300), fly(AWAY, *range(n_others))) == days
