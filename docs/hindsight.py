@@ -29,7 +29,10 @@ REVISIONS = (
     ),
     Revision(
         ("features_alerts", "alerts"),
-        ("closed_at", "closed_on", "closed_reason", "severity", "now_flight_id", "evidence_now"),
+        (
+            *("closed_at", "closed_on", "closed_reason", "severity"),
+            *("now_flight_id", "evidence_now", "evidence_now_phrases"),
+        ),
         "the alert's present state; other columns hold its state when it was raised",
     ),
     Revision(
