@@ -63,8 +63,9 @@ def judge_flights(flights: pl.DataFrame, delivered_on: pl.DataFrame, now: dateti
         rest = rest.join(verdict, on=FLIGHT, how="anti")
     verdicts = pl.concat(held_flights, how="diagonal")
     without_log = pl.col("log_fault").is_not_null().alias("without_log")
-    held = flights.select(*FLIGHT, "departed_at", "landed_at", without_log).join(verdicts, on=FLIGHT, validate="1:1")
-    return RecordHeld.conform(held.with_columns(is_used=pl.col("reason").is_in([EXCHANGED, CONTRADICTED])))
+    of_flights = flights.select(*FLIGHT, "departed_at", "landed_at", without_log)
+    rows = of_flights.join(verdicts, on=FLIGHT, validate="1:1")
+    return RecordHeld.conform(rows.with_columns(is_used=pl.col("reason").is_in([EXCHANGED, CONTRADICTED])))
 
 
 def _alone(flights: pl.DataFrame, now: datetime) -> pl.DataFrame:

@@ -39,10 +39,11 @@ def contradicted_logs(rows: pl.DataFrame) -> pl.DataFrame:
         `FLIGHT`, `log_fault`: `log_clock` where the two are not of one time, `log_packs` where the packs of one stand
         in each other's place in the other.
     """
-    reports = _moments(rows.filter(source="acms"))
-    log = _moments(rows.filter(source="cpl").join(reports.select(FLIGHT).unique(), on=FLIGHT, how="semi"))
-    if log.is_empty():
-        return log.select(*FLIGHT, log_fault=pl.lit(None, pl.String))
+    sources = [rows.filter(source=name) for name in ("acms", "cpl")]
+    with_both = sources[1].select(FLIGHT).unique().join(sources[0], on=FLIGHT, how="semi")
+    if with_both.is_empty():
+        return with_both.with_columns(log_fault=pl.lit(None, pl.String))
+    reports, log = (_moments(own.join(with_both, on=FLIGHT, how="semi")) for own in sources)
     spans = log.group_by(FLIGHT).agg(begins_at=pl.col("time_utc").min(), ends_at=pl.col("time_utc").max())
     pairs = reports.join(spans, on=FLIGHT, validate="m:1").join_asof(
         log.with_columns(is_paired=True),
