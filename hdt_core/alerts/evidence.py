@@ -1,13 +1,12 @@
 """Evidence of an alert: what changed and since when, observations for and against it, the cost of waiting."""
 
-import json
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from scipy.special import ndtr
 
 from hdt_core.alerts import phrases
-from hdt_core.alerts.text import Figures, Phrase, Text, TextList, as_parts
+from hdt_core.alerts.text import Figures, Phrase, Text, TextList, as_parts, dump_parts
 from hdt_core.robust import Z_90
 
 SUPPORTS, NEUTRAL, AGAINST = ROLES = ("Supports", "Neutral", "Against")
@@ -56,7 +55,7 @@ class Evidence:
     def to_json(self) -> str:
         """Write the sections as a list of `{"label": ..., "texts": ...}`: see `text.as_parts`."""
         sections = [{"label": label, "texts": as_parts(texts)} for label, texts in self.sections()]
-        return json.dumps(sections, ensure_ascii=False, separators=(",", ":"))
+        return dump_parts(sections)
 
 
 def capitalised(text: str) -> str:

@@ -121,7 +121,12 @@ class TextList(str):
 
 def to_json(text: str) -> str:
     """Write a text with its phrases and values as JSON: see `as_parts`."""
-    return json.dumps(as_parts(text), ensure_ascii=False, separators=(",", ":"))
+    return dump_parts(as_parts(text))
+
+
+def dump_parts(parts: Any) -> str:
+    """Write what `as_parts` returns, or a list of it, as JSON."""
+    return json.dumps(parts, ensure_ascii=False, separators=(",", ":"))
 
 
 def as_parts(text: str) -> Any:
