@@ -35,8 +35,9 @@ from pipelines.intake.simulated import write_fleet
 from pipelines.orchestration.around_night import lock_home
 from pipelines.orchestration.nightly import run_night
 from pipelines.orchestration.runs import publish_night
-from pipelines.storage import delta, seal
+from pipelines.storage import delta, retention
 from pipelines.storage.publication import publish
+from pipelines.storage.settings import Retention
 from pipelines.storage.store import FLEET, Store
 
 QUESTIONS = {
@@ -181,7 +182,7 @@ def sizes_of_home(home: Path) -> dict[str, float]:
 
 def pass_day(home: Path) -> None:
     """Let upkeep be due again."""
-    os.utime(home / seal.MARKER, (0, 0))
+    os.utime(home / retention.MARKER, (0, 0))
 
 
 @contextmanager
@@ -190,7 +191,7 @@ def days_passed(home: Path, days: int) -> Iterator[None]:
     for commit in home.glob("tables/*/_delta_log/*.json"):
         status = commit.stat()
         os.utime(commit, (status.st_atime, status.st_mtime - 86_400 * (days + 1)))
-    with patch.object(seal, "retention", lambda _: seal.Retention(0)):
+    with patch.object(retention, "retention", lambda _: Retention(0)):
         yield
 
 

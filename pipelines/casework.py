@@ -13,7 +13,8 @@ from hdt_core.components.declaration import FAULTS, NO_FAULT
 from hdt_core.loading import UserError
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import fetch_dicts
-from pipelines.storage.publication import connect_current, publish_lines
+from pipelines.storage.catalog_checks import connect_current
+from pipelines.storage.publication import publish_lines
 
 _CODES = {"clean": NO_FAULT} | {code.lower(): code for code in FAULTS}
 """Findings of any part, as people enter them and as the maintenance log has them."""

@@ -26,6 +26,7 @@ from pipelines.storage.database import query_value
 from pipelines.storage.delta import DamageError, shards_of
 from pipelines.storage.files import LOG, hash_in
 from pipelines.storage.ledger import Ledger
+from pipelines.storage.ledger_copy import repair_ledger
 from pipelines.storage.store import EMPTY, FLEET, Aircraft, Store, in_shard, without_folded
 
 
@@ -37,7 +38,7 @@ def repair_home(landing: Path, store: Store, ledger: Ledger) -> list[str]:
 
 
 def _repair_tables(landing: Path, store: Store, ledger: Ledger) -> list[str]:
-    lines = [fault] if (fault := seal.repair_ledger(ledger)) else []
+    lines = [fault] if (fault := repair_ledger(ledger)) else []
     if store.place.remote:
         return lines
     last_seal = seal.read_seal(store.home)

@@ -22,10 +22,10 @@ import polars.selectors as cs
 import pyarrow.parquet as pq
 
 from pipelines.storage.catalog import CATALOG, connect, open_database
+from pipelines.storage.catalog_views import STORED, add_meanings, add_named_views, fill_stored
 from pipelines.storage.files import replacing_folder
 from pipelines.storage.naming import Name, names_in
 from pipelines.storage.ownership import names_of, select_rows
-from pipelines.storage.publication import STORED, add_meanings, add_named_views, fill_stored
 from pipelines.storage.view_headers import tables_read, views
 
 FORMATS = ("parquet", "csv", "duckdb")

@@ -30,11 +30,12 @@ from pipelines.report.tasks import NAME as NAME_OF_TASKS
 from pipelines.report.tasks import read_tasks
 from pipelines.storage.cases import CaseLog
 from pipelines.storage.catalog import CATALOG, connect
+from pipelines.storage.catalog_checks import find_staleness
 from pipelines.storage.database import DatabaseError
 from pipelines.storage.ledger import FILE, Ledger
+from pipelines.storage.ledger_copy import find_ledger_fault
 from pipelines.storage.objects import StoreError
-from pipelines.storage.publication import find_staleness
-from pipelines.storage.seal import CYCLE, NAME, changed_files, find_ledger_fault, name_files, read_seal
+from pipelines.storage.seal import CYCLE, NAME, changed_files, name_files, read_seal
 from pipelines.storage.settings import notify_file
 from pipelines.storage.store import Store
 from pipelines.storage.view_headers import views

@@ -12,8 +12,9 @@ from pipelines.intake.faults import silent_columns
 from pipelines.intake.held import held_flights
 from pipelines.report.rows import read_rows, unit_key
 from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
+from pipelines.storage.catalog_checks import connect_current
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.publication import connect_as_of, connect_current
+from pipelines.storage.publication import connect_as_of
 
 State = dict[str, Any]
 """JSON: `until`; `alerts`, `closed` by case; `units` (to work on, without an alert) and `outlook` by unit; `gaps`,

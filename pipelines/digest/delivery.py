@@ -23,9 +23,9 @@ from pipelines.digest.changes import EMPTY, Digest, Row, State, compare, read_st
 from pipelines.digest.declaration import NotifyError, Receiver, check_url, receivers_of
 from pipelines.digest.render import as_html, as_json, as_text, as_webhook, subject, write_digest
 from pipelines.report.tasks import read_tasks
+from pipelines.storage.catalog_checks import connect_current
 from pipelines.storage.files import replacing
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.publication import connect_current
 from pipelines.versions import digest as hash_text
 
 TIMEOUT_S = 20.0

@@ -20,10 +20,11 @@ from pipelines.lineage import STAGES, Stage, Step, steps
 from pipelines.orchestration.around_night import call_hooks, notify_receivers
 from pipelines.orchestration.local_executor import LocalExecutor, equivalent_flights, sends_out
 from pipelines.repair import repair_home, replace_damaged_history
+from pipelines.storage.catalog_checks import find_catalog_fault
 from pipelines.storage.delta import DamageError
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.publication import find_catalog_fault, publish
-from pipelines.storage.seal import copy_ledger
+from pipelines.storage.ledger_copy import copy_ledger
+from pipelines.storage.publication import publish
 from pipelines.storage.settings import HOME_SETTINGS, dagster_settings, notify_file, retention
 from pipelines.storage.store import Store
 from pipelines.versions import CELL, find_stale_cells, recipe_version, restrict_ledger

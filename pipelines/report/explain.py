@@ -12,7 +12,8 @@ from pipelines.report import words
 from pipelines.report.rows import UnitRow, read_rows
 from pipelines.report.tasks import BEST_CHOICE, Tasks, read_tasks, work_text
 from pipelines.storage.catalog import fetch_dicts
-from pipelines.storage.publication import connect_current, publish_lines
+from pipelines.storage.catalog_checks import connect_current
+from pipelines.storage.publication import publish_lines
 from pipelines.words import ENGLISH, _, language
 from pipelines.words.evidence import WITH_COLUMNS, action_text, evidence_text
 

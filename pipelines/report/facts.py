@@ -11,7 +11,8 @@ import polars as pl
 from hdt_core.calibration.dsm import Dsm
 from pipelines.report.rows import UnitRow, dates_line, read_rows
 from pipelines.report.tasks import Tasks, read_tasks
-from pipelines.storage.publication import connect_current, publish_lines
+from pipelines.storage.catalog_checks import connect_current
+from pipelines.storage.publication import publish_lines
 from pipelines.storage.view_headers import views
 
 _SEGMENT = """

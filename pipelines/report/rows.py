@@ -11,7 +11,7 @@ from hdt_core.components import components
 from pipelines.report import words
 from pipelines.report.tasks import Task, Tasks, action_of, describe_action, read_tasks, tasks_of
 from pipelines.storage.catalog import fetch_dicts, nights_of
-from pipelines.storage.publication import connect_current
+from pipelines.storage.catalog_checks import connect_current
 from pipelines.words import _, number
 from pipelines.words.evidence import stored_action
 

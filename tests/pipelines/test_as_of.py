@@ -14,12 +14,14 @@ import pytest
 from nights import empty_home
 
 from hdt_core.tables import TABLES
-from pipelines.storage import ledger, seal
+from pipelines.storage import ledger, retention
 from pipelines.storage.catalog import CATALOG, connect
+from pipelines.storage.catalog_checks import find_catalog_fault
 from pipelines.storage.ledger import FILE, Ledger
 from pipelines.storage.objects import StoreError
-from pipelines.storage.publication import connect_as_of, find_catalog_fault, publish
-from pipelines.storage.seal import Retention, find_night, remove_expired
+from pipelines.storage.publication import connect_as_of, publish
+from pipelines.storage.retention import find_night, remove_expired
+from pipelines.storage.settings import Retention
 from pipelines.storage.store import Store
 
 AIRCRAFT = ("AQX", "LX-AAA")
@@ -133,7 +135,7 @@ def test_damaged_night_is_refused(home):
 
 def at(monkeypatch: pytest.MonkeyPatch, years: int) -> None:
     """The clock of the nights and of their retention, so many years ahead."""
-    for module in (ledger, seal):
+    for module in (ledger, retention):
         clock = SimpleNamespace(now=lambda zone: datetime.now(zone) + timedelta(days=365 * years))
         monkeypatch.setattr(module, "datetime", SimpleNamespace(**vars(clock), fromisoformat=datetime.fromisoformat))
 

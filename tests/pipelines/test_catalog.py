@@ -16,8 +16,9 @@ from answers import query, rows
 from hdt_core.alerts.diagnoses import DIAGNOSES
 from pipelines.storage import catalog
 from pipelines.storage.catalog import CATALOG, connect
+from pipelines.storage.catalog_checks import find_catalog_fault
 from pipelines.storage.objects import StoreError
-from pipelines.storage.publication import HASH, find_catalog_fault, publish
+from pipelines.storage.publication import HASH, publish
 from pipelines.storage.store import Store
 
 CONTRACT = (Path(__file__).parents[2] / "docs/catalog.md").read_text()

@@ -29,7 +29,7 @@ from pipelines.assets import VIEWS
 from pipelines.definitions import build_defs
 from pipelines.orchestration.runs import LOCATION, open_instance, publish_night
 from pipelines.resources import NIGHT
-from pipelines.storage.publication import find_catalog_fault
+from pipelines.storage.catalog_checks import find_catalog_fault
 from pipelines.storage.store import Store
 
 

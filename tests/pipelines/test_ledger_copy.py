@@ -9,7 +9,7 @@ import pytest
 
 from pipelines.repair import find_history_fault, replace_damaged_history
 from pipelines.storage.ledger import Ledger
-from pipelines.storage.seal import copy_ledger, find_ledger_fault, repair_ledger
+from pipelines.storage.ledger_copy import copy_ledger, find_ledger_fault, repair_ledger
 
 CELL = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AAA"], "flight_id": ["f1"], "version": ["v1"]})
 

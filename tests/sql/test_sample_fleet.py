@@ -12,7 +12,7 @@ from answers import CHECKS, rows
 from docs.dictionary import dictionary, view_columns
 from hdt_core.tables import TABLES
 from pipelines.storage.catalog import CATALOG
-from pipelines.storage.publication import list_diagnoses
+from pipelines.storage.catalog_views import list_diagnoses
 from pipelines.storage.view_headers import read_header, views
 
 ROOT = Path(__file__).parents[2]

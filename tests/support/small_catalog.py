@@ -10,7 +10,7 @@ from alert_texts import evidence_of, text_columns
 
 from hdt_core.components import component_rows
 from hdt_core.tables import TABLES
-from pipelines.storage.publication import list_diagnoses
+from pipelines.storage.catalog_views import list_diagnoses
 from pipelines.storage.view_headers import views
 
 START = dt.datetime(2024, 3, 1, 6, tzinfo=dt.UTC)
