@@ -29,6 +29,12 @@ class PatientLeastSquares(NonlinearLeastSquares):
     name: str = "patient"
     max_steps: int = 1000
 '''
+FEATURE = """\
+    hx_fouling_squared = feature("hx_fouling times itself", value=pl.col("hx_fouling") ** 2)
+    hx_fouling_smooth = feature(
+        "mean of three flights of the unit", value=pl.col("hx_fouling").rolling_mean(3).over(*PACK, "hx_life")
+    )
+"""
 STAGE = '''"""How many flights each aircraft has flown."""
 
 import polars as pl
@@ -120,14 +126,7 @@ def tree(tmp_path_factory) -> Path:
     (top / "data_samples").symlink_to(ROOT / "data_samples")
     (top / "hdt_core/alerts/diagnoses/flown.py").write_text(DIAGNOSIS)
     install(top, "patient", ESTIMATOR, "patient = patient:PatientLeastSquares", "hdt.estimators")
-    replaced(top / "hdt_core/health/features.py", '    if "flight_hours" in names:\n', (
-        '    if "hx_fouling" in names:\n'
-        '        columns.append((pl.col("hx_fouling") ** 2).alias("hx_fouling_squared"))\n'
-        '    if "flight_hours" in names:\n'
-    ))  # fmt: skip
-    replaced(top / "hdt_core/tables/features.py", '    yield "usage_hours",', (
-        '    yield _number("hx_fouling_squared", "hx_fouling times itself")\n    yield "usage_hours",'
-    ))  # fmt: skip
+    replaced(top / "hdt_core/tables/features.py", "    usage_hours = feature(", FEATURE + "    usage_hours = feature(")
     with (top / "hdt_core/tables/raw.py").open("a") as tables:
         tables.write(TABLE)
     anchor = '    "raw_fleet": StoredTable('
@@ -189,3 +188,5 @@ def test_night_makes_additions(tree, tmp_path):
         assert alerts.fetchall() == [(1, "Admire it"), (2, "Admire it")]
         assert con.sql("select tail, n_flights from busiest").fetchall() == [("LX-AAB", 6)]
         assert con.sql("select count(*) from features where hx_fouling_squared = hx_fouling ** 2").fetchall()[0][0] > 0
+        smooth = con.sql("select count(hx_fouling_smooth) from features group by pack")
+        assert smooth.fetchall() == [(4,), (4,)]

@@ -9,12 +9,12 @@ import polars as pl
 
 from hdt_core.calibration.exchanger import BIAS_SD, NOISE_SD
 from hdt_core.margin.first_passage import passages
-from hdt_core.margin.margin import MARGIN_COLUMNS, compressor_margin, exchanger_margin
+from hdt_core.margin.margin import compressor_margin, exchanger_margin
 from hdt_core.physics.heat_exchanger import mean_specific_heat_j_kg_k, warmed_k
-from hdt_core.records.keys import AIRCRAFT, IN_ORDER, LEG, LEG_AT, PACK, join_other_pack
+from hdt_core.records.keys import AIRCRAFT, IN_ORDER, LEG, LEG_AT, PACK
 from hdt_core.records.unit_index import number_units
 from hdt_core.tables.base import DatedLegTable, finite
-from hdt_core.tables.features import HEALTH
+from hdt_core.tables.features import HEALTH, ExchangerMargin, Features, latest_step
 
 SHORT_HORIZONS, WEAR_HORIZON = (10, 30), 100
 """Flights over which trends are taken; the rate of wear follows from the longest."""
@@ -37,7 +37,7 @@ def features(
     twin_flights: pl.DataFrame | None = None,
     cross_checks: pl.DataFrame | None = None,
     demand: pl.DataFrame | None = None,
-    health: Sequence[str] = tuple(HEALTH),
+    health: Sequence[str] = HEALTH,
 ) -> pl.DataFrame:
     """Compute the features: one row for each flight and pack, one column a feature.
 
@@ -86,7 +86,8 @@ def features(
     if demand is not None and "hx_ln_ua_ratio" in wide.columns:
         wide = wide.join(passages(wide, demand), on=LEG, how="left", validate="m:1")
     lives = [f"{component}_life" for component in components]
-    return finite(_usage(_pack_differences(wide)).drop(lives)).sort("tail", "pack", "departed_at", "flight_id")
+    in_order = wide.sort("tail", "pack", "departed_at", "flight_id")
+    return finite(Features.derive(in_order).drop(lives))
 
 
 def _component(parameter: str) -> str:
@@ -151,7 +152,8 @@ def _margins(wide: pl.DataFrame, twin_flights: pl.DataFrame, demand: pl.DataFram
     inputs = wide.select(*LEG, *LOSSES).join(
         twin_flights.select(*LEG, *FLIGHT_ESTIMATES), on=LEG, how="left", maintain_order="left", validate="m:1"
     )
-    margins = exchanger_margin(inputs, demand).select(*LEG, *MARGIN_COLUMNS)
+    names = pl.selectors.by_name(*LEG, *ExchangerMargin.columns(), require_all=False)
+    margins = exchanger_margin(inputs, demand).select(names)
     return margins.join(compressor_margin(inputs, demand), on=LEG, how="left", validate="m:1")
 
 
@@ -202,42 +204,8 @@ def _jumps(columns: Sequence[str], loss: str) -> list[pl.Expr]:
     now = pl.col(f"{loss}_flight") if f"{loss}_flight" in columns else track
     # the middles of the two windows lie eight flights apart; the trend is that of the flights before the late ones
     wear = 8.0 * pl.col(f"{loss}_slope_30_per_flight").shift(3).clip(0.0, 0.004).fill_null(0.0)
-    out = {f"{loss}_jump_10": track - track.shift(10), f"{loss}_step_3": _step(now) - wear}
-    if "ram_flow_loss" in columns:
-        out["ram_flow_loss_step_3"] = _step(pl.col("ram_flow_loss"))
-    return [e.over(life).alias(name) for name, e in out.items()]
-
-
-def _step(now: pl.Expr) -> pl.Expr:
-    """Return the median of the last three flights less that of the twelve before."""
-    return now.rolling_median(3, min_samples=2) - now.rolling_median(12, min_samples=4).shift(3)
-
-
-def _pack_differences(wide: pl.DataFrame) -> pl.DataFrame:
-    """Add differences to the other pack of the same flight."""
-    names = [
-        n for n in ("hx_fouling", "cc_efficiency_loss", "cc_effective_diameter_m", "door_median") if n in wide.columns
-    ]
-    rows = join_other_pack(wide, names)
-    return rows.with_columns((pl.col(n) - pl.col(f"other_{n}")).alias(f"{n}_between_packs") for n in names).drop(
-        f"other_{n}" for n in names
-    )
-
-
-def _usage(wide: pl.DataFrame) -> pl.DataFrame:
-    """Add columns under the consumers' names, and cumulative usage."""
-    names = set(wide.columns)
-    columns = (
-        [pl.col("hx_out_sensor_minus_dsm_k").alias("hx_out_excess_k")] if "hx_out_sensor_minus_dsm_k" in names else []
-    )
-    if "door_median" in names:
-        columns += [
-            pl.col("door_median").alias("ram_door_open_cruise"),
-            (1.0 - pl.col("door_max")).alias("ram_door_margin"),
-        ]
-    if "flight_hours" in names:
-        columns.append(pl.col("flight_hours").cum_sum().over(PACK).alias("usage_hours"))
-    return wide.with_columns(columns)
+    jumps = {f"{loss}_jump_10": track - track.shift(10), f"{loss}_step_3": latest_step(now) - wear}
+    return [jump.over(life).alias(name) for name, jump in jumps.items()]
 
 
 def virtual_sensors(twin_flights: pl.DataFrame) -> pl.DataFrame:

@@ -16,7 +16,7 @@ from hdt_core.physics.air import HIGH_CRUISE_M, hot_day_tat_k, reference_air
 from hdt_core.physics.compressor import area_diameter_tan_beta_m3, effective_diameter_m, inlet_flow_kg_s
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, PACK
-from hdt_core.tables.features import COMPRESSOR_DEMAND, FeaturesMargin
+from hdt_core.tables.features import CompressorDemand, FeaturesMargin
 
 FLOWS = np.array([0.6, 0.8, 1.0, 1.2, 1.5])
 """Shares of the demanded flow at which critical diameters are stored; others are interpolated. [-]"""
@@ -60,14 +60,14 @@ def compressor_demand(samples: pl.DataFrame, dsm: Dsm, schedules: ControlSchedul
     has_map = fit.group_slope_m3_per_count > max(SURE_SD * fit.group_slope_sd_m3_per_count, LEAST_SLOPE_M3_COUNT)
     cruise = cruise_samples(samples, monitored=False)
     if limit_rad_s is None or not has_map or not cruise.height:
-        return FeaturesMargin.create_empty().select(*FLIGHT_PACK, *COMPRESSOR_DEMAND)
+        return FeaturesMargin.create_empty().select(*FLIGHT_PACK, *CompressorDemand.columns())
     flights = _hardest_curves(cruise, dsm, schedules, limit_rad_s)
     hot = required_diameter(_with_pressure(_hot_and_high(flights), dsm, schedules), fit, limit_rad_s)
     return flights.with_columns(
         *_columns("hot_high", *hot),
         cc_flow_asked_kg_s=pl.col("flow_kg_s"),
         cc_speed_limit_met=pl.lit(schedules.speed.at_limit),
-    ).select(*FLIGHT_PACK, *COMPRESSOR_DEMAND)
+    ).select(*FLIGHT_PACK, *CompressorDemand.columns())
 
 
 def required_diameter(demand: pl.DataFrame, fit: CompressorFit, speed_rad_s: float) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from hdt_core.margin.compressor_demand import CONDITIONS, FLOWS, curves_of, read
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, HOT_DAY, PARTS, SHARES
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, PACK
-from hdt_core.tables.features import COMPRESSOR_MARGIN, EXCHANGER_MARGIN
+from hdt_core.tables.features import CompressorMargin
 from hdt_core.tracking.track import PROBE_SD
 
 LEVEL_SD_K = {"flight": 0.5, "pack": 2.0}
@@ -21,10 +21,6 @@ LN_RATIO_PER_K = 0.026
 """Ln conductance that a kelvin of the outlet is worth at full door, in the middle of the simulated designs. [1/K]"""
 UNIT_FLIGHTS = 30
 """Flights of the running median of a unit's offset."""
-MARGIN_COLUMNS = (*EXCHANGER_MARGIN, "hx_margin_status")
-"""Columns of the margin after each flight: see `exchanger_margin`."""
-DELIVERY_COLUMNS = (*COMPRESSOR_MARGIN, "cc_flow_margin_status", "cc_flow_margin_hot_high_status")
-"""Columns of the compressor's margin: see `compressor_margin`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +108,9 @@ def compressor_margin(wide: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
     Returns
     -------
     DataFrame
-        `FLIGHT_PACK` and `DELIVERY_COLUMNS`. `cc_flow_margin_kg_s` (own conditions, the hardest fifth of the cruise)
-        and `cc_flow_margin_hot_high_kg_s`, each with `_sd` and status: negative where flow or pressure fell short.
+        `FLIGHT_PACK` and the columns of `CompressorMargin`. `cc_flow_margin_kg_s` (own conditions, the hardest fifth of
+        the cruise) and `cc_flow_margin_hot_high_kg_s`, each with `_sd` and status: negative where flow or pressure
+        fell short.
         Status: ok, at_least (bounded by the diffuser's map and the speeds on record; no sd where the map ends) or
         not_known. `cc_diameter_left` (`_sd`) and `cc_diameter_left_hot_high`: share of its diameter that it may still
         lose before the demanded flow falls short. It needs no position beyond those on record, so no map bounds it.
@@ -138,7 +135,7 @@ def compressor_margin(wide: pl.DataFrame, demand: pl.DataFrame) -> pl.DataFrame:
     }  # fmt: skip
     margins = rows.with_columns(pl.Series(n, v).fill_nan(None) for n, v in columns.items())
     return margins.with_columns(_reach("cc_flow_margin"), _reach("cc_flow_margin_hot_high")).select(
-        *FLIGHT_PACK, *DELIVERY_COLUMNS
+        *FLIGHT_PACK, *CompressorMargin.columns()
     )
 
 

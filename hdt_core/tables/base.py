@@ -21,16 +21,30 @@ UTC = pl.Datetime("us", "UTC")
 Column = TypeVar("Column", bound=dy.Column)
 
 
-def column(dtype: type[Column], meaning: str, unit: str = "", *, nullable: bool = False, **kw: Any) -> Column:
-    """A column of any type: an index, a day, bytes."""
-    return dtype(nullable=nullable, metadata={"unit": unit, "meaning": meaning}, **kw)
+def column(
+    dtype: type[Column],
+    meaning: str,
+    unit: str = "",
+    *,
+    nullable: bool = False,
+    value: pl.Expr | None = None,
+    **kw: Any,
+) -> Column:
+    """A column of any type: an index, a day, bytes; `value` where it follows from other columns."""
+    return dtype(nullable=nullable, metadata={"unit": unit, "meaning": meaning, "value": value}, **kw)
 
 
 def number(
-    meaning: str, unit: str = "-", low: float | None = None, high: float | None = None, *, nullable: bool = True
+    meaning: str,
+    unit: str = "-",
+    low: float | None = None,
+    high: float | None = None,
+    *,
+    nullable: bool = True,
+    **kw: Any,
 ) -> dy.Float64:
     """A physical quantity: null where missing, never NaN."""
-    return column(dy.Float64, meaning, unit, nullable=nullable, min=low, max=high)
+    return column(dy.Float64, meaning, unit, nullable=nullable, min=low, max=high, **kw)
 
 
 def count(meaning: str, unit: str = "-", *, nullable: bool = False) -> dy.Int64:
@@ -151,6 +165,16 @@ class Table(dy.Schema):
         column = cls.columns().get(name)
         relation = _RULES.get(kind, kind.replace("_", " "))
         return f"{name} {relation} {getattr(column, kind, '')}".rstrip()
+
+    @classmethod
+    def derive(cls, frame: pl.DataFrame) -> pl.DataFrame:
+        """Add the columns whose declared value follows from columns that `frame` has."""
+        rows = frame
+        for name, column in cls.columns().items():
+            value = (column.metadata or {}).get("value")
+            if value is not None and set(value.meta.root_names()) <= set(rows.columns):
+                rows = rows.with_columns(value.alias(name))
+        return rows
 
     @classmethod
     def conform(cls, frame: pl.DataFrame) -> pl.DataFrame:
