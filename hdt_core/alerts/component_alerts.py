@@ -16,8 +16,8 @@ from hdt_core.alerts.wear import odds_above
 from hdt_core.components import Component
 from hdt_core.health.detection import persistent
 from hdt_core.health.features import features
-from hdt_core.records.keys import LEG_AT
 from hdt_core.tables.features import FeaturesAlerts
+from hdt_core.tables.twin import FeaturesComponents
 
 UNIT_LOST = Phrase(
     "{lost}{name} {loss}, {sigma} times its uncertainty; above {limit} % since {since}, and with probability {odds}"
@@ -26,9 +26,6 @@ UNIT_FAILS = Phrase("it fails at about {loss}")
 UNIT_STEP = Phrase("{points} points came within three flights: a sudden event")
 HIGH_SEVERITY_SHARE = 0.8
 """Loss from which severity is high, as a share of the loss at which the component fails. [-]"""
-KEYS = [*LEG_AT, "flight_index", "flights_seen_of_unit", "flights_since_drop"]
-TRENDS = ("sd", "status", "slope_10_per_flight", "slope_30_per_flight", "slope_100_per_flight", "jump_10", "step_3")
-"""Columns of the loss beside its value, each prefixed with the loss's name."""
 
 
 def component_features(
@@ -42,12 +39,11 @@ def component_features(
         Of all components; those of this one are taken.
     """
     own = pl.col("component") == component.code
-    columns = features(
-        health.filter(own), residuals.filter(own), legs.filter(own), maintenance, health=[component.loss]
+    rows = features(health.filter(own), residuals.filter(own), legs.filter(own), maintenance, health=[component.loss])
+    named = rows.rename(lambda name: name.replace(component.loss, "loss")).with_columns(
+        component=pl.lit(component.code)
     )
-    trends = [pl.col(f"{component.loss}_{t}").alias(f"loss_{t}") for t in TRENDS if f"{component.loss}_{t}" in columns]
-    loss = pl.col(component.loss).alias("loss") if component.loss in columns.columns else pl.lit(None).alias("loss")
-    return columns.select(*KEYS, pl.lit(component.code).alias("component"), loss, *trends)
+    return FeaturesComponents.conform(FeaturesComponents.derive(named))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
