@@ -131,6 +131,13 @@ def test_single_flights_step_first(nothing_done, name, share):
     assert out[name].to_list()[-3:] == pytest.approx([0.0, 0.0, 0.2 * share])
 
 
+def test_new_unit_restarts_steps(replacement_log):
+    """A step needs four flights before the last three."""
+    long = health(np.full(60, 0.1))
+    step = describe_track(long, replacement_log, twin_flights=twin_rows(long))["ram_flow_loss_step_3"]
+    assert step.is_null().to_list() == [True] * 6 + [False] * 39 + [True] * 6 + [False] * 9
+
+
 TWIN = {
     "ram_flow_kg_s": 1.2, "pack_flow_kg_s": 0.8, "hx_in_k": 400.0, "hx_out_k": 300.0, "tat_k": 250.0, "n_samples": 9.0,
     "effectiveness": 0.66, "ua_w_k": 2000.0, "ln_ua_ratio": -0.2, "ln_ua_ratio_sd": 0.03, "ln_ua_ratio_map_sd": 0.04,
