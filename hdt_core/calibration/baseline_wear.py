@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import polars as pl
-from scipy.stats import theilslopes
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
@@ -201,6 +200,8 @@ def audit_drift(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm)
 
 
 def _audit_unit(keys: dict[str, object], ratio: np.ndarray, clean_level: float) -> dict[str, object]:
+    from scipy.stats import theilslopes  # noqa: PLC0415 (loads for half a second, and few nights calibrate)
+
     slope = theilslopes(ratio, alpha=0.6827)
     sd = 0.5 * (slope.high_slope - slope.low_slope)
     first = float(np.median(ratio[:FIRST_FLIGHTS]))

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import qmc
 
 from hdt_core.estimation.descent import Point, descend, descend_each
 from hdt_core.estimation.problem import Array, Problem
@@ -92,6 +91,8 @@ def better_optima(problem: Problem, optima: Sequence[Point]) -> list[tuple[Point
 
     Half the points fill the box evenly, half lie about the optimum at other orders of magnitude; the best few descend.
     """
+    from scipy.stats import qmc  # noqa: PLC0415 (loads for half a second)
+
     free = problem.bounds[:, 0] < problem.bounds[:, 1]
     lower, upper = problem.search_box
     power = 6 + min(int(free.sum()).bit_length() - 1, 3)

@@ -9,8 +9,7 @@ from itertools import compress
 
 import numpy as np
 import polars as pl
-from scipy.stats import chi2
-from sklearn.covariance import MinCovDet
+from scipy.special import gammaincinv
 
 from hdt_core.flight.conductance_index import (
     IndexLevel,
@@ -63,7 +62,8 @@ class Scatter:
         """Flag rows with a squared robust distance above the chi-square quantile. Nulls count as zero."""
         off = residuals.select(pl.col(self.columns).fill_null(0.0)).to_numpy() - np.array(self.mean)
         distance = ((off @ np.array(self.precision)) * off).sum(axis=1)
-        return pl.Series("outlier", distance > chi2.ppf(MCD_QUANTILE, len(self.columns)))
+        quantile = 2.0 * gammaincinv(0.5 * len(self.columns), MCD_QUANTILE)  # chi2.ppf, without all of scipy.stats
+        return pl.Series("outlier", distance > quantile)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,6 +238,8 @@ def learn_scatter(residuals: pl.DataFrame, columns: list[str]) -> Scatter | None
     .. [1] P. J. Rousseeuw, K. Van Driessen, A fast algorithm for the minimum covariance determinant estimator,
        Technometrics 41(3), 1999.
     """
+    from sklearn.covariance import MinCovDet  # noqa: PLC0415 (loads for a second, and few nights learn)
+
     x = residuals.select(pl.col(columns).fill_null(0.0)).to_numpy()
     # a residual that is zero for most legs (not recorded, door at its stop) has no scatter
     moves = (x == 0.0).mean(axis=0) < 0.5 if len(x) else np.zeros(len(columns), dtype=bool)

@@ -3,9 +3,9 @@ and twin; a night uses the shipped one and imports no simulation."""
 
 from collections.abc import Iterator
 from dataclasses import fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hdt_core.margin.first_passage import repeated_demand
 from hdt_core.margin.margin import LN_RATIO_PER_K, MessageRule
@@ -17,6 +17,9 @@ from hdt_core.prognosis.recalibrate import learn_levels
 from hdt_core.robust import Array
 from hdt_core.simulate.episodes import LEAD, Episodes, EpisodeSettings, draw_episodes, draw_limited
 from hdt_core.simulate.wear import WearSettings
+
+if TYPE_CHECKING:
+    from sklearn.ensemble import HistGradientBoostingClassifier
 
 LIMITED_SHARE = 0.15
 """Share of the fleets whose lives end at a limit of their own, as a compressor's do."""
@@ -125,7 +128,7 @@ def fit_base() -> Prognosis:
     return Prognosis(members, learn_levels(by, check.remaining, check.failed, check.life, prior_lives=0.0))
 
 
-def fit_member(seed: int, fleets: int = 50) -> HistGradientBoostingClassifier:
+def fit_member(seed: int, fleets: int = 50) -> "HistGradientBoostingClassifier":
     """Fit one model of a base to its own simulated fleets."""
     rows = simulated_rows(seed, fleets)
     return fit_hazard(rows.features, rows.remaining, rows.failed, seed, (*RISES, 0))

@@ -6,13 +6,16 @@ life leaves the risk set when it was cut, so nothing is assumed about its end.
 
 from collections.abc import Sequence
 from functools import cache, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import expit
-from sklearn.ensemble import HistGradientBoostingClassifier
 from threadpoolctl import ThreadpoolController
 
 from hdt_core.robust import Array
+
+if TYPE_CHECKING:  # scikit-learn takes a second to load
+    from sklearn.ensemble import HistGradientBoostingClassifier
 
 EDGES = np.array([0, 5, 10, 15, 20, 30, 40, 50, 65, 80, 100, 125, 150, 175, 200, 250, 300], dtype=float)
 SPANS = EDGES.size - 1
@@ -61,7 +64,7 @@ def fit_hazard(
     seed: int,
     rises: Sequence[int] | None = None,
     share: float = 0.3,
-) -> HistGradientBoostingClassifier:
+) -> "HistGradientBoostingClassifier":
     """Fit a classifier of P(event in span | alive at its start).
 
     Parameters
@@ -77,6 +80,8 @@ def fit_hazard(
     share : float
         Share of the samples kept, for neighbours along a life are nearly equal.
     """
+    from sklearn.ensemble import HistGradientBoostingClassifier  # noqa: PLC0415 (a night fits none)
+
     row, span, is_event, exposure = at_risk(remaining, failed)
     is_sampled = np.random.default_rng(seed).random(row.size) < share
     row = row[is_sampled]
@@ -104,7 +109,7 @@ def _threads() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def hazards(models: Sequence[HistGradientBoostingClassifier], features: Array) -> Array:
+def hazards(models: Sequence["HistGradientBoostingClassifier"], features: Array) -> Array:
     """Predict P(event in span | alive at its start), the mean over the models, shape (n, SPANS)."""
     hazard = np.empty((features.shape[0], SPANS))
     with _threads().limit(limits=1, user_api="openmp"):
@@ -114,7 +119,7 @@ def hazards(models: Sequence[HistGradientBoostingClassifier], features: Array) -
     return hazard
 
 
-def probabilities(model: HistGradientBoostingClassifier, features: Array, spans: Array) -> Array:
+def probabilities(model: "HistGradientBoostingClassifier", features: Array, spans: Array) -> Array:
     """Predict P(event) of each row for each value of the model's last input, shape (n, spans).
 
     Only trees that split on the span are evaluated again: a fourth of them does not, the others cut it in two to six,
@@ -133,13 +138,13 @@ def probabilities(model: HistGradientBoostingClassifier, features: Array, spans:
         return _row_by_row(model, features, spans)
 
 
-def _row_by_row(model: HistGradientBoostingClassifier, features: Array, spans: Array) -> Array:
+def _row_by_row(model: "HistGradientBoostingClassifier", features: Array, spans: Array) -> Array:
     """Predict by the public method: every row once for each span."""
     rows = np.column_stack([np.repeat(features, spans.size, axis=0), np.tile(spans, len(features))])
     return np.asarray(model.predict_proba(rows)[:, 1]).reshape(-1, spans.size)
 
 
-def _by_tree(model: HistGradientBoostingClassifier, features: Array, spans: Array) -> Array:
+def _by_tree(model: "HistGradientBoostingClassifier", features: Array, spans: Array) -> Array:
     bitsets, places = model._bin_mapper.make_known_categories_bitsets()
     rows = np.column_stack([features, np.empty(len(features))])
     raw = np.full((spans.size, len(features)), float(model._baseline_prediction.item()))
@@ -152,7 +157,7 @@ def _by_tree(model: HistGradientBoostingClassifier, features: Array, spans: Arra
 
 
 @lru_cache(maxsize=8)  # a few hundred rows are predicted in less time than it takes to search the trees
-def _span_groups(model: HistGradientBoostingClassifier, last: int, spans: tuple[float, ...]) -> list[list[Array]]:
+def _span_groups(model: "HistGradientBoostingClassifier", last: int, spans: tuple[float, ...]) -> list[list[Array]]:
     """Group, for each tree, the spans with the same prediction; a value goes left where it is not above."""
     groups = []
     for (tree,) in model._predictors:

@@ -9,7 +9,6 @@ References
 import numpy as np
 import polars as pl
 from numpy.typing import ArrayLike
-from scipy.stats import rankdata
 
 from hdt_core.prognosis.unit_lives import flight_rows, with_lives
 from hdt_core.records.keys import LEG
@@ -46,6 +45,8 @@ def brier_skill(is_event: ArrayLike, probability: ArrayLike) -> float:
 
 def auc(is_event: ArrayLike, probability: ArrayLike) -> float:
     """Compute the probability that a row with the event ranks above one without, ties counted half."""
+    from scipy.stats import rankdata  # noqa: PLC0415 (loads for half a second, and few nights score)
+
     y = np.asarray(is_event, dtype=bool)
     p = np.asarray(probability, dtype=float)
     hits = int(y.sum())

@@ -8,11 +8,10 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
-from sklearn.ensemble import HistGradientBoostingClassifier
 
 from hdt_core.prognosis.feature_rows import (
     INPUTS,
@@ -28,6 +27,9 @@ from hdt_core.prognosis.history import PASSAGE, PASSAGE_AHEAD, Index
 from hdt_core.prognosis.metrics import interval_score
 from hdt_core.prognosis.recalibrate import NOMINAL, HazardCorrection, Levels, learn_correction, learn_levels
 from hdt_core.robust import Array
+
+if TYPE_CHECKING:  # scikit-learn takes a second to load
+    from sklearn.ensemble import HistGradientBoostingClassifier
 
 HORIZON = float(EDGES[-1])
 _RESERVE = INPUTS.index("reserve_95")
@@ -88,7 +90,7 @@ class Prognosis:
         Fits for each of the fleet's own tails; empty for a model that is not fitted to a fleet.
     """
 
-    hazard: tuple[HistGradientBoostingClassifier, ...]
+    hazard: "tuple[HistGradientBoostingClassifier, ...]"
     base_levels: Levels
     fits: Fits = field(default_factory=dict)
     version: str = ""

@@ -13,7 +13,6 @@ from itertools import product
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit, logit
-from scipy.stats import CensoredData, ecdf
 
 from hdt_core.margin.exchanger_demand import SHARES
 from hdt_core.margin.first_passage import repeated_demand
@@ -210,6 +209,8 @@ def learn_levels(
     .. [1] V. Chernozhukov, K. Wuethrich, Y. Zhu, Distributional conformal prediction, PNAS 118 (48), 2021.
     .. [2] E. L. Kaplan, P. Meier, Nonparametric estimation from incomplete observations, JASA 53, 1958.
     """
+    from scipy.stats import CensoredData, ecdf  # noqa: PLC0415 (loads for half a second, and few nights learn)
+
     is_observed = failed & (remaining <= EDGES[-1])
     if not is_observed.any():
         return prior

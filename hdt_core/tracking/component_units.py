@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 import polars as pl
-from scipy.stats import median_abs_deviation
 
 from hdt_core.calibration.component_fit import (
     WITHOUT_ESTIMATE,
@@ -134,6 +133,8 @@ def _health_names(component: Component) -> list[str]:
 
 def _strays(flights: pl.DataFrame, loss: str) -> pl.DataFrame:
     """Select flights whose loss is far from the median."""
+    from scipy.stats import median_abs_deviation  # noqa: PLC0415 (loads for half a second)
+
     losses = flights[loss].to_numpy()
     sd = float(median_abs_deviation(losses, scale="normal", nan_policy="omit"))
     far = (pl.col(loss) - pl.col(loss).median()).abs() > STRAY_SD * max(sd, 1e-9)
