@@ -28,7 +28,6 @@ from dagster._core.storage.tags import (
     WILL_RETRY_TAG,
 )
 from dagster._core.types.loadable_target_origin import LoadableTargetOrigin
-from dagster._daemon.controller import all_daemons_live
 
 from dagster_batched.event_log import BatchedSqliteEventLogStorage, CoalescingEventLog
 from dagster_batched.partitions import make_keys_quickly, skip_input_versions
@@ -126,6 +125,8 @@ def failure_of(events: Iterable[dg.DagsterEvent]) -> str | None:
 
 def daemon_answers(instance: dg.DagsterInstance) -> bool:
     """Return whether Dagster's daemon, which launches queued runs, is alive."""
+    from dagster._daemon.controller import all_daemons_live  # noqa: PLC0415 (only runs sent elsewhere need it)
+
     return all_daemons_live(instance, heartbeat_tolerance_seconds=_SILENT_S)
 
 

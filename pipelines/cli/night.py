@@ -181,7 +181,7 @@ def _bring_up_to_date(landing: Path, home: Path, as_json: bool, jobs: int, only:
         err.print(f"repaired: {line}", soft_wrap=True)
     if as_json:
         values = {"seconds": round(seconds, 2), "idle": night.idle, "catalog_fault": fault} | night.hook_results
-        values |= {f: getattr(night, f) for f in night.__slots__ if f not in ("new_paths", "after")}
+        values |= {f: getattr(night, f) for f in night.__slots__ if f not in ("new_paths", "instance")}
         out.print_json(json.dumps(values))
     else:
         _print_night(landing, home, night, fault, seconds)

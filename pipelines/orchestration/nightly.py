@@ -30,7 +30,7 @@ from pipelines.storage.store import Store
 from pipelines.versions import CELL, find_stale_cells, recipe_version, restrict_ledger
 
 if TYPE_CHECKING:
-    from dagster import OpExecutionContext
+    from dagster import DagsterInstance, OpExecutionContext
 
     from pipelines.orchestration.batches import BatchResult, PartitionBatch
     from pipelines.orchestration.runs import RemoteExecutor, Runner
@@ -66,6 +66,8 @@ class Night:
     """A line for each hook that failed."""
     failed_deliveries: tuple[str, ...] = ()
     """A line for each receiver whose digest could not be sent."""
+    instance: DagsterInstance | None = None
+    """The instance that recorded its runs, if there were any."""
 
     @property
     def idle(self) -> bool:
@@ -118,7 +120,7 @@ def _publish(home: Path, night: Night, parent_run: OpExecutionContext | None) ->
     if parent_run or not night.idle:
         from pipelines.orchestration.runs import publish_night  # Dagster is loaded already
 
-        publish_night(home, parent_run.instance if parent_run else None)
+        publish_night(home, parent_run.instance if parent_run else night.instance)
         return None
     fault = "tables were damaged" if night.repairs else find_catalog_fault(home)
     if fault:
@@ -171,8 +173,9 @@ def run_night(
         ledger.settle(recipe_version(ledger, STAGES))
     ignored = tuple(ignored_entries(zone.quarantine))
     night = Night(
-        zone.files, zone.new, chain.runs, chain.cells, chain.failed, tuple(chain.repairs), ignored, zone.new_paths
-    )
+        zone.files, zone.new, chain.runs, chain.cells, chain.failed, tuple(chain.repairs), ignored, zone.new_paths,
+        instance=chain.runner.instance if chain.runs else None,
+    )  # fmt: skip
     ledger.note_night((start, _now(), night.files, night.new_files, night.runs, night.cells, json.dumps(night.failed)))
     if night.idle:  # else once the catalog is published
         copy_ledger(ledger, idle=True)
