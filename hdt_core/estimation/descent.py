@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from hdt_core.estimation.compiled import (
     FIRST_DAMPING,
@@ -217,6 +216,8 @@ def distance_to_optimum(point: Point, bounds: Array) -> float:
     is_inside = (point.theta[free] + step >= lower[free]) & (point.theta[free] + step <= upper[free])
     if is_inside.all():
         return float(np.linalg.norm(along))
+    from scipy.optimize import lsq_linear  # noqa: PLC0415 (loads for a fifth of a second)
+
     root = np.sqrt(values[observable])[:, None] * vectors[:, observable].T
     room = np.column_stack([lower, upper])[free] - point.theta[free, None]
     method = "bvls" if observable.all() else "trf"

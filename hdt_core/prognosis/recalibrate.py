@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from hdt_core.margin.exchanger_demand import SHARES
@@ -155,6 +154,8 @@ def learn_correction(hazard: Array, reserve: Array, remaining: Array, failed: Ar
     ----------
     .. [1] D. R. Cox, Two further applications of a model for binary regression, Biometrika 45, 1958.
     """
+    from scipy.optimize import minimize  # noqa: PLC0415 (loads for a fifth of a second, and few nights learn)
+
     row, span, is_event, exposure = at_risk(remaining, failed)
     if not is_event.any():
         return HazardCorrection()
