@@ -35,11 +35,3 @@ def test_idle_night_loads_no_engine(own_home):
 def test_closing_loads_no_engine(own_home, first_alert):
     command = ("close", first_alert, "--finding", "clean", "--by", "me", "--home", own_home[1])
     assert loaded(*command) == set()
-
-
-def test_late_flight_loads_no_learner(own_home):
-    """The newest flight of an aircraft, delivered again without its last report."""
-    landing, home = own_home
-    file = max((landing / "BZR/A9-BAC/acms").glob("*.csv"))
-    file.write_text("".join(file.read_text().splitlines(keepends=True)[:-2]))
-    assert loaded("nightly", "--landing", landing, "--home", home) == {"dagster", "scipy"}
