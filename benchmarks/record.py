@@ -207,7 +207,7 @@ def draw(round_number: int, kinds: Sequence[str], folder: Path) -> list[Verdict]
     """
     half = round_number % 2
     seeds = range(round_number * AT_ONCE, (round_number + 1) * AT_ONCE)
-    faults = [_draw_fault(seed, kinds, own) for seed, own in zip(seeds, HALVES[half], strict=True)]
+    faults = [_draw_fault(seed, kinds, own, folder / "landing") for seed, own in zip(seeds, HALVES[half], strict=True)]
     with tempfile.TemporaryDirectory() as temporary:
         landing = Path(temporary) / "landing"
         home = Path(temporary) / "home"
@@ -220,13 +220,13 @@ def draw(round_number: int, kinds: Sequence[str], folder: Path) -> list[Verdict]
         ]
 
 
-def _draw_fault(seed: int, kinds: Sequence[str], own: tuple[str, str]) -> Fault:
+def _draw_fault(seed: int, kinds: Sequence[str], own: tuple[str, str], landing: Path) -> Fault:
     make = (KINDS | {LEFT_OUT: leave_out})[kinds[seed % len(kinds)]]
-    return make(np.random.default_rng([seed, 2024]), _read(own))
+    return make(np.random.default_rng([seed, 2024]), _read(own, landing))
 
 
-def _read(own: tuple[str, str]) -> Record:
-    return read_record(SAMPLES, *own, FIRST, LAST)
+def _read(own: tuple[str, str], landing: Path = SAMPLES) -> Record:
+    return read_record(landing, *own, FIRST, LAST)
 
 
 def prepare(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Faults of a record as they come by: ten kinds, each of a size drawn log-uniformly, at a random place.
+"""Faults of a record as they come by: eleven kinds, each of a size drawn log-uniformly, at a random place.
 
 A fault changes one aircraft's files and names what a reason may name: the flights it changed, or the packs whose log it
 changed.
@@ -6,7 +6,7 @@ changed.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from datetime import date, timedelta
+from datetime import date, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +24,15 @@ STEPS = {
 
 @dataclass(frozen=True)
 class Record:
-    """What one aircraft's ground station delivers."""
+    """What one aircraft's ground station delivers.
 
+    Attributes
+    ----------
+    landing : Path
+        Landing zone that it was read from, where other aircraft have their files.
+    """
+
+    landing: Path
     operator: str
     tail: str
     flights: Flights
@@ -74,7 +81,7 @@ def read_record(landing: Path, operator: str, tail: str, first: date, last: date
     )
     maintenance = pl.read_csv(folder / "maintenance.csv", try_parse_dates=True)
     return Record(
-        operator, tail, dict(sorted(flights.items())),
+        landing, operator, tail, dict(sorted(flights.items())),
         messages.filter(pl.col("message_time").dt.date().is_between(first, last)),
         maintenance.filter(pl.col("done_on").is_between(first, last)),
     )  # fmt: skip
@@ -208,6 +215,16 @@ def relabel(rng: np.random.Generator, record: Record) -> Fault:
     return Fault("relabel", days, frozenset(), replace(record, maintenance=wrong.drop("index")))
 
 
+def misfile(rng: np.random.Generator, record: Record) -> Fault:
+    """Deliver another aircraft's flight of the operator under this tail too, at a time at which this one stands."""
+    tails = sorted(folder.name for folder in (record.landing / record.operator).iterdir())
+    tail = str(rng.choice([other for other in tails if other != record.tail]))
+    other = read_record(record.landing, record.operator, tail, _day(min(record.flights)), _day(max(record.flights)))
+    flight = str(rng.choice([name for name, rows in other.flights.items() if _is_in_gap(rows, record)]))
+    name = _free_leg(record, f"{record.tail}{flight[-12:]}", _day(flight))
+    return _changed("misfile", 1.0, record, {name: _named(other.flights[flight], name)}, {name})
+
+
 def leave_out(rng: np.random.Generator, record: Record) -> Fault:
     """Leave out one flight: no fault, but a measure of what chance moves."""
     flight = _any_flight(rng, record)
@@ -215,11 +232,12 @@ def leave_out(rng: np.random.Generator, record: Record) -> Fault:
 
 
 KINDS: Mapping[str, Callable[[np.random.Generator, Record], Fault]] = {
-    kind.__name__: kind for kind in (shift, redate, copy, split, join, renumber, swap, coarsen, duplicate, relabel)
+    kind.__name__: kind
+    for kind in (shift, redate, copy, split, join, renumber, swap, coarsen, duplicate, relabel, misfile)
 }
 UNITS = {
     "shift": "s", "redate": "days", "copy": "s", "split": "min", "join": "min", "renumber": "legs", "swap": "flights",
-    "coarsen": "steps", "duplicate": "days", "relabel": "days",
+    "coarsen": "steps", "duplicate": "days", "relabel": "days", "misfile": "flights",
 }  # fmt: skip
 
 
@@ -234,10 +252,22 @@ def _flights_in_a_row(rng: np.random.Generator, record: Record, n: int) -> list[
 
 
 def _duration_min(rows: pl.DataFrame) -> float:
-    first, last = rows.select(
-        pl.col("report_time").min().alias("first"), pl.col("report_time").max().alias("last")
-    ).row(0)
+    first, last = _span(rows)
     return float((last - first).total_seconds()) / 60.0
+
+
+def _is_in_gap(rows: pl.DataFrame, record: Record) -> bool:
+    """Return whether a flight overlaps none of an aircraft's and does not lie before or after all of them."""
+    start, end = _span(rows)
+    spans = [_span(own) for own in record.flights.values()]
+    earlier = [span for span in spans if span[1] < start]
+    later = [span for span in spans if span[0] > end]
+    return bool(earlier and later) and len(earlier) + len(later) == len(spans)
+
+
+def _span(rows: pl.DataFrame) -> tuple[datetime, datetime]:
+    first, last = rows.select(first=pl.col("report_time").min(), last=pl.col("report_time").max()).row(0)
+    return first, last
 
 
 def _day(flight: str) -> date:

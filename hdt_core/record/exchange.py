@@ -5,6 +5,7 @@ flight. Where all of it changes sign between two flights and keeps its size, the
 wash or one faulty sensor changes a part of it.
 """
 
+from collections.abc import Sequence
 from math import sqrt
 
 import numpy as np
@@ -67,7 +68,7 @@ def exchanged_packs(flights: pl.DataFrame) -> pl.DataFrame:
         `FLIGHT`, `reason`.
     """
     ordered = flights.sort(*AIRCRAFT, "departed_at", "flight_id")
-    sd = {name: _flight_to_flight_sd(name) for name in BETWEEN_PACKS}
+    sd = {name: flight_to_flight_sd(name) for name in BETWEEN_PACKS}
     standardised = ordered.select(*FLIGHT, *(pl.col(n) / pl.when(s > 0.0).then(s) for n, s in sd.items()))
     suspects = standardised.filter(pl.Series(_find_changes(standardised)))
     aircraft = suspects.select(AIRCRAFT).unique(maintain_order=True).iter_rows(named=True)
@@ -88,10 +89,10 @@ def _before_and_after(flights: pl.DataFrame) -> tuple[Array, Array]:
     return flights.select(earlier).to_numpy(), flights.select(later).to_numpy()
 
 
-def _flight_to_flight_sd(name: str) -> pl.Expr:
-    """Return the standard deviation of a difference between flights in a row of one aircraft, without its drift."""
-    typical_step = pl.col(name).diff().abs().median().over(AIRCRAFT)
-    return typical_step * (MAD_TO_SD / sqrt(2.0))
+def flight_to_flight_sd(name: str, of: Sequence[str] = AIRCRAFT) -> pl.Expr:
+    """Return the standard deviation of a difference between flights in a row of an aircraft, without its drift."""
+    step = pl.col(name).diff().abs().over(AIRCRAFT)
+    return step.median().over(of) * (MAD_TO_SD / sqrt(2.0))
 
 
 def are_reversed(before: Array, after: Array, share: float = 1.0) -> Array:

@@ -114,7 +114,7 @@ class RecordHeld(FlightTable):
     is_used = flag("whether it is used: each pack in its own place, or without its log")
     without_log = flag("whether its continuous log contradicts its snapshots, and is left out")
     likely_cause = text("code of what made it so, where the numbers show one")
-    other_flight_id = text("flight that it copies, continues or overlaps")
+    other_flight_id = text("flight that it copies, continues or overlaps, or one of the aircraft that it is like")
     file = text("file that delivered it, below the landing zone")
     held_since = moment("modification time of the file", nullable=True)
 

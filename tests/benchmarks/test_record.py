@@ -11,7 +11,7 @@ from benchmarks.record import FIRST, SAMPLES, Life, Outcome, PackOutcome, compar
 from benchmarks.record_faults import KINDS, Fault, Record, read_record
 
 DRAWS = int(os.environ.get("HDT_DRAWS", "30"))
-NEVER_SILENT = set(KINDS) - {"swap", "duplicate", "relabel"}
+NEVER_SILENT = set(KINDS) - {"swap", "duplicate", "relabel", "misfile"}
 """docs/bad-input.md gives the limits of the other kinds."""
 FLIGHT = "A9-BAB_20240415_01"
 PACK = PackOutcome(1, "none", 0.10, 0.02, 200.0)
