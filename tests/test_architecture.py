@@ -120,6 +120,7 @@ MANY_TO_MANY = {
     "hdt_core/prognosis/choices.py": "a wash meets every flight of its pack",
     "hdt_core/prognosis/feature_rows.py": "a flight meets every unit that its pack was known to have",
     "hdt_core/prognosis/unit_lives.py": "a life meets every message of its pack, a message every sound inspection",
+    "hdt_core/record/misfiled.py": "a flight unlike its aircraft's meets every other aircraft of its operator",
     "hdt_core/records/unit_index.py": "an entry of the log meets every flight of its pack",
     "pipelines/intake/merge.py": "a row meets what every other file says of its key",
 }
