@@ -31,8 +31,9 @@ case
 end"""
 _BY_VARIABLE = "coalesce(getvariable('tables_folder'), {published})"
 STORED = (
-    "flight_rates", "unobserved_units", "last_prognoses", "check_chances", "unit_urgencies", "alert_urgencies",
-    "alert_states", "fleet_ranking", "component_ranking", "next_stop", "alert_outcomes", "removal_leads",
+    "flight_rates", "unobserved_units", "last_prognoses", "check_chances", "open_messages", "unit_urgencies",
+    "alert_urgencies", "alert_states", "fleet_ranking", "component_ranking", "next_stop", "alert_outcomes",
+    "removal_leads",
 )  # fmt: skip
 """Views whose rows are stored when the catalog is published: a row a unit or alert, and none depends on the hour."""
 
