@@ -22,18 +22,19 @@ from pipelines.storage.store import Store
 
 SEED = 501
 TAILS = (4, 8, 14, 25)
+"""Aircraft of an operator in each simulated fleet."""
 HEADINGS = ["aircraft an operator", "drawn", "found", "of the right aircraft", "right flights", "of these held"]
 
 
-def main(draws: int = 200, flights: int = 200, homes: tuple[str, ...] = ()) -> Texts:
+def main(draws: int = 200, flights: int = 200, tails: tuple[int, ...] = TAILS, homes: tuple[str, ...] = ()) -> Texts:
     """Draw flights under a wrong tail, and tabulate what is found by the size of the fleet."""
-    rows = [_judge(own, draws) for own in (*_simulated(flights), *_stored(homes))]
+    rows = [_judge(own, draws) for own in (*_simulated(flights, tails), *_stored(homes))]
     yield "misfiled", markdown([HEADINGS, *rows])
 
 
-def _simulated(n_flights: int) -> Iterator[pl.DataFrame]:
+def _simulated(n_flights: int, sizes: tuple[int, ...]) -> Iterator[pl.DataFrame]:
     """Simulate a fleet of two operators of each size: rows of `raw_flights`."""
-    for tails in TAILS:
+    for tails in sizes:
         settings = FleetSettings(operators=2, tails=tails, flights=n_flights, cpl_share=0.0)
         snapshots = simulate_record(SEED + tails, settings)["snapshots"]
         unknown = (pl.lit(None, pl.String).alias(name) for name in AIRPORTS)
