@@ -183,7 +183,7 @@ STAGES = (
     ),
     declare_stage(
         "raw_components", "raw", "raw_components", "raw_components_deliveries", "raw_components_quarantine",
-        files=("component", "recorder"), code=f"2 {DECLARED}", untracked=("raw_fleet",),
+        files=("component", "recorder"), code=f"3 {DECLARED}", untracked=("raw_fleet",),
         label="declared components",
     ),
     declare_stage(

@@ -12,7 +12,7 @@ from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault, first_line, panics_as_errors
 from pipelines.intake.landing_file import EARLIEST, MAX_PACKS, RECORDER, FileIntake, LandingFile
 from pipelines.intake.readers import readers
-from pipelines.intake.row_validation import in_future, is_pack
+from pipelines.intake.row_validation import FROM_0, counts_from_0, in_future, is_pack
 from pipelines.intake.snapshots import OpenFile, add_faults, open_files
 
 FLIGHT = ["operator", "tail", "component", "flight_id"]
@@ -80,9 +80,10 @@ def _validate(raw: pl.DataFrame, component: Component, now: datetime, packs: int
     """Select the rows that can be stored, in SI; faults of the others and of impossible values."""
     if "pack" not in raw.columns:
         raw = raw.with_columns(pack=pl.lit(1.0))
-    reasons = raw.select(reason=_reason(now, packs))["reason"]
-    bad_rows = zip(reasons.drop_nulls(), raw["row"].filter(reasons.is_not_null()), strict=True)
-    good = raw.filter(reasons.is_null())
+    numbered = raw.with_columns(counts_from_0=counts_from_0(pl.lit(packs)).over("flight_id"))
+    judged = numbered.with_columns(reason=_reason(now, packs))
+    bad_rows = judged.drop_nulls("reason").select("reason", "row", "counts_from_0").rows()
+    good = raw.filter(judged["reason"].is_null())
     values, faults = _to_si(good, _channels(component))
     key = good.select(
         pl.lit(component.code).alias("component"),
@@ -91,7 +92,11 @@ def _validate(raw: pl.DataFrame, component: Component, now: datetime, packs: int
         pl.col("report_time").alias("time_utc"),
         "row",
     )
-    return key.hstack(values), [*(Fault(reason, row, n_rows=1) for reason, row in bad_rows), *faults]
+    details = {("bad_pack", True): FROM_0}
+    refused = [
+        Fault(reason, row, detail=details.get((reason, from_0), ""), n_rows=1) for reason, row, from_0 in bad_rows
+    ]
+    return key.hstack(values), [*refused, *faults]
 
 
 def _reason(now: datetime, packs: int) -> pl.Expr:
@@ -103,7 +108,7 @@ def _reason(now: datetime, packs: int) -> pl.Expr:
         .when(moment.is_null()).then(pl.lit("unreadable_time"))
         .when(moment < pl.lit(EARLIEST).cast(pl.Datetime("us", "UTC"))).then(pl.lit("too_early"))
         .when(in_future(now)).then(pl.lit("future_time"))
-        .when(~is_pack(pl.lit(packs))).then(pl.lit("bad_pack"))
+        .when(~is_pack(pl.lit(packs)) | pl.col("counts_from_0")).then(pl.lit("bad_pack"))
     )  # fmt: skip
 
 

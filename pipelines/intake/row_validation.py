@@ -73,7 +73,7 @@ def _row_reasons(raw: pl.DataFrame, files: Sequence[LandingFile], slips: pl.Data
     keys = raw.select(*unit, "report_time", "pack").join(
         flights, on=unit, how="left", nulls_equal=True, maintain_order="left", validate="m:1"
     )
-    keys = keys.with_columns(counts_from_0=_counts_from_0().over(unit))
+    keys = keys.with_columns(counts_from_0=counts_from_0(pl.col("packs")).over(unit))
     moment = pl.col("report_time")
     in_flight = moment.is_between(pl.col("day") - EARLY, pl.col("day") + LATE)
     reason = (
@@ -96,10 +96,10 @@ def _row_reasons(raw: pl.DataFrame, files: Sequence[LandingFile], slips: pl.Data
     )
 
 
-def _counts_from_0() -> pl.Expr:
-    """Whether a flight's rows number the packs from 0: each then has another's number, and none is sure."""
+def counts_from_0(packs: pl.Expr) -> pl.Expr:
+    """Return whether a flight's rows number its `packs` from 0: each then has another's number, and none is sure."""
     pack = pl.col("pack")
-    return ((pack == 0).mean() >= LEAST_SHARE_0) & ~(pack >= pl.col("packs")).any()
+    return ((pack == 0).mean() >= LEAST_SHARE_0) & ~(pack >= packs).any()
 
 
 def in_future(now: datetime) -> pl.Expr:

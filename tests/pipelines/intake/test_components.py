@@ -97,6 +97,24 @@ def test_fault_has_its_reason(put, text, reason):
     assert reason in read.quarantine["reason"].to_list()
 
 
+@pytest.fixture
+def numbered_from_0(put) -> FileIntake:
+    """What came of a file with cycle C1, whose packs are numbered 0 and 1, and C2, whose pack is 1."""
+    first = LINE.format(flight="C1", second=1, hot=400.0)
+    text = HEAD + first.replace("Z,1,", "Z,0,") + first + LINE.format(flight="C2", second=1, hot=400.0)
+    return read_balanced(put("AAA/T1/hx/a.csv", text))[0]
+
+
+def test_packs_from_0_are_refused(numbered_from_0):
+    refused = numbered_from_0.quarantine
+    assert refused["reason"].to_list() == ["bad_pack"] * 2
+    assert refused["detail"].str.contains("count from 0").all()
+
+
+def test_packs_from_0_cost_no_other_cycle(numbered_from_0):
+    assert numbered_from_0.rows["flight_id"].unique().to_list() == ["C2"]
+
+
 def test_unforeseen_failure_costs_one_file(put, monkeypatch):
     files = [put(f"AAA/T1/hx/{n}.csv", lines(f"C{n}", 4)) for n in (1, 2, 3)]
     real = intake.open_files
