@@ -13,10 +13,8 @@ from hdt_core.components import components
 from hdt_core.components.declaration import NO_FAULT
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import date_entries
-from hdt_core.tables.raw import CLOSES, RawMaintenance
+from hdt_core.tables.raw import CASE, CLOSES, LOG, RawMaintenance
 
-LOG, CASE = "log", "case"
-"""Sources of a row of `raw_maintenance`."""
 SAME_WORK = timedelta(days=3)
 """Largest distance of a line of the log and a finding about the same work: a log is some flights late."""
 Row = dict[str, Any]

@@ -2,6 +2,7 @@
 
 A log is written by people. It may be days late, list one piece of work twice or for the other position, or list work
 that was not done. The loss of a part settles most of it, for it falls on the flight after the work and on no other.
+An engineer who closes an alert names its position by that, so such an entry stays there.
 Where the loss is too small to show the work either way, the log's word counts.
 
 References
@@ -21,6 +22,7 @@ import polars as pl
 from hdt_core.records.keys import AIRCRAFT, PACK
 from hdt_core.records.unit_index import NEW_UNIT, date_entries
 from hdt_core.robust import Array
+from hdt_core.tables.raw import CASE
 
 LEAST_RECOVERY, RECOVERY_SDS = 0.05, 3.0
 """A recovery is a loss lower by this much, and by so many of its standard deviations, than some flights before."""
@@ -119,6 +121,7 @@ class _Entry:
     position: _Position
     action: str
     counts_from: datetime
+    is_of_case: bool = False
     verdict: str = LOGGED
     moved_to: _Position | None = None
     recovery: int | None = None
@@ -176,9 +179,11 @@ def judge_work(
     """
     is_own = (pl.col("component") == component) & pl.col("action").is_in(actions) & pl.col("pack").is_not_null()
     entries = date_entries(maintenance).filter(is_own & pl.col("counts_from").is_not_null()).with_row_index("index")
+    is_of_case = pl.col("source") == CASE if "source" in entries.columns else pl.lit(False)
+    judged_entries = entries.with_columns(is_of_case=is_of_case.fill_null(False))
     flights = losses.join(entries.select(AIRCRAFT).unique(), on=AIRCRAFT, how="semi").sort(*PACK, "departed_at")
     judgements: list[dict[str, object]] = []
-    own_entries = entries.partition_by(AIRCRAFT, as_dict=True)
+    own_entries = judged_entries.partition_by(AIRCRAFT, as_dict=True)
     for aircraft, own_flights in flights.partition_by(AIRCRAFT, as_dict=True).items():
         positions = {p.pack: p for p in _positions(own_flights)}
         for _, _, pack, moment in (
@@ -202,14 +207,14 @@ def _positions(flights: pl.DataFrame) -> Iterator[_Position]:
 
 def _judge_aircraft(rows: pl.DataFrame, positions: dict[int, _Position]) -> list[_Entry]:
     """Judge the entries of an aircraft's positions: those on time first, then late ones, then those elsewhere."""
-    fields = rows.select("index", "pack", "action", "counts_from").sort("counts_from", "index").rows()
-    entries = [_Entry(i, positions[p], action, at) for i, p, action, at in fields if p in positions]
+    fields = rows.select("index", "pack", "action", "counts_from", "is_of_case").sort("counts_from", "index").rows()
+    entries = [_Entry(i, positions[p], *more) for i, p, *more in fields if p in positions]
     for entry in entries:
         _explain(entry, entry.position, [r for r in entry.position.unexplained if _is_on_time(r, entry.row)], LOGGED)
     for entry in (e for e in entries if e.recovery is None):
         late = [r for r in entry.position.unexplained if _is_late(entry, entry.position, r)]
         _explain(entry, entry.position, late[-1:], LATE)
-    for entry in (e for e in entries if e.recovery is None):
+    for entry in (e for e in entries if e.recovery is None and not e.is_of_case):
         others = ((p, r) for p in positions.values() if p is not entry.position for r in p.unexplained)
         for place, recovery in [(p, r) for p, r in others if _is_late(entry, p, r)][-1:]:
             _explain(entry, place, [recovery], ELSEWHERE)

@@ -206,6 +206,8 @@ class RawMaintenance(AircraftRows):
     since_night = flag("whether it was entered after the last night, which has not estimated with it", nullable=True)
 
 
+LOG, CASE = "log", "case"
+"""Sources of a row of `raw_maintenance`."""
 CLOSES = {"closes_alert_id": "alert_id", "closes_diagnosis": "diagnosis", "closes_sensor": "sensor"}
 """Columns of `raw_maintenance` on the alert that work closed, and those of an alert that they are."""
 

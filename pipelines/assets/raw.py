@@ -7,10 +7,10 @@ from pathlib import Path
 
 import polars as pl
 
-from hdt_core.alerts.answers import CASE, with_findings
+from hdt_core.alerts.answers import with_findings
 from hdt_core.record.facts import flight_facts
 from hdt_core.records.unit_index import date_entries
-from hdt_core.tables.raw import RawChecks
+from hdt_core.tables.raw import CASE, RawChecks
 from pipelines.assets.stage import StageResult, stage
 from pipelines.intake.airframes import add_airframes, with_airframe
 from pipelines.intake.faults import NO_FAULTS, quarantine

@@ -84,6 +84,13 @@ def test_verdict_follows_flights(entry, verdict, position, from_flight):
     assert columns.row(0) == (verdict, position, departure(from_flight))
 
 
+def test_closed_alert_names_its_position():
+    """Another position's recovery moves a line of the log, and no work that an engineer closed an alert with."""
+    work = log((2, RENEWED + 30)).with_columns(source=pl.lit("case"))
+
+    assert judge(fly(WORN, CLEAN), work)["position"].to_list() == [2]
+
+
 @pytest.mark.parametrize("losses", [(CLEAN,), (np.full(FLIGHTS, np.nan),)])
 def test_log_counts_without_evidence(losses):
     verdicts = judge(fly(*losses), log((1, RENEWED)))
