@@ -211,7 +211,7 @@ STAGES = (
         "features", "features", "features", "features_components", "features_work",
         parents=(
             "twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance", "raw_messages"
-        ), code="9", fresh="features",
+        ), code="10", fresh="features",
     ),
     declare_stage(
         "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="26",
@@ -223,8 +223,8 @@ STAGES = (
     declare_stage("prognosis_base", "prognosis", "prognosis_base", code="4", label="prognosis"),
     # a model is stored with its scored flights, so prognoses come first: a kill between costs only work
     Stage("prognosis", "prognosis", {
-        **dict.fromkeys(("prognoses", "prognosis_model", "prognosis_lives"), Recipe(parents=_PROGNOSED, code="13")),
-        "prognosis_choices": Recipe(parents=_PROGNOSED),
+        **dict.fromkeys(("prognoses", "prognosis_model", "prognosis_lives"), Recipe(parents=_PROGNOSED, code="14")),
+        "prognosis_choices": Recipe(parents=_PROGNOSED, code="2"),
     }, fresh="prognoses"),
 )  # fmt: skip
 

@@ -20,6 +20,8 @@ SHORT_HORIZONS, WEAR_HORIZON = (10, 30), 100
 """Flights over which trends are taken; the rate of wear follows from the longest."""
 DROP, DROP_FLIGHTS = 0.035, 3
 """Fall of a tracked loss over so many flights that no noise makes: a trend before it is that of another state. [-]"""
+DOUBT_SDS = 2.0
+"""Standard deviations of a loss within which a fall of it is in doubt."""
 LOSSES = ("hx_fouling", "hx_life", "cc_diameter_loss", "cc_diameter_loss_sd", "cc_life")
 FLIGHT_ESTIMATES = ("ln_ua_ratio", "diameter_m", "expected_diameter_m")
 """Inputs of the margins: tracked losses, and estimates from single flights."""
@@ -177,8 +179,13 @@ def since_maintenance(
 
 
 def _last_drop(loss: str) -> pl.Expr:
-    """Return the flight index of the last drop of a loss, null before the first: a wash, or work that is on no log."""
-    is_drop = pl.col(loss).shift(DROP_FLIGHTS) - pl.col(loss) > DROP
+    """Return the flight index of the last drop of a loss, null before the first: a wash, or work that is on no log.
+
+    A fall that the loss's own standard deviation does not exclude is none: one faulty reading makes such a fall.
+    """
+    fall = pl.col(loss).shift(DROP_FLIGHTS) - pl.col(loss)
+    doubt = DOUBT_SDS * pl.col(f"{loss}_sd").fill_null(0.0)
+    is_drop = (fall > DROP) & (fall > doubt)
     return pl.when(is_drop).then("flight_index").forward_fill()
 
 

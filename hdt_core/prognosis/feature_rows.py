@@ -8,6 +8,7 @@ import polars as pl
 
 from hdt_core.components import Limit
 from hdt_core.components.pack import CC
+from hdt_core.health.features import DOUBT_SDS, DROP
 from hdt_core.margin.exchanger_demand import CRITICAL, EXCESS_K, SHARES
 from hdt_core.margin.first_passage import WINDOW_FLIGHTS, repeated_demand
 from hdt_core.margin.margin import LN_RATIO_PER_K, PRIOR_RULE, MessageRule, at_excess
@@ -24,6 +25,9 @@ LOSSES = (
 """Features that a prognosis is made of."""
 MARGIN_FEATURES = ("overheat_p20_k", "overheat_p50_k", "full_open_share")
 """Features of the margin beside the critical ratios."""
+
+MOST_IN_DOUBT = 3
+"""Flights for which a fall of the loss may be in doubt, at most."""
 
 FailureRule = Limit | dict[str, MessageRule]
 """Condition for the message: a limit of the loss, or the rule of each operator's monitor, `""` for any other."""
@@ -209,9 +213,28 @@ def _panel(rows: pl.DataFrame, lives: int) -> Panel:
     age = pl.when("age_known").then(pl.col("row") - pl.col("first_row")).cast(pl.Float64)
     day = pl.col("departed_at").dt.ordinal_day().cast(pl.Float64)
     columns = rows.select("value", "sd", age.alias("age"), "ratio", *MARGIN_FEATURES, day.alias("day"))
-    panel = np.full((len(fields(Panel)), *shape), np.nan)
-    panel[:, *place] = columns.to_numpy().astype(float).T
-    return Panel(*panel)
+    values = np.full((len(fields(Panel)), *shape), np.nan)
+    values[:, *place] = columns.to_numpy().astype(float).T
+    panel = Panel(*values)
+    settled = _settled_flights(panel.level, panel.sd)
+    level, sd, ratio = (np.take_along_axis(v, settled, axis=1) for v in (panel.level, panel.sd, panel.ratio))
+    return replace(panel, level=level, sd=sd, ratio=ratio)
+
+
+def _settled_flights(level: Array, sd: Array) -> Index:
+    """Return for each flight the one whose loss stands after it: its own, or an earlier one's while a fall is in doubt.
+
+    One flight with a faulty reading lowers a loss with a large standard deviation, and the next flight restores it: a
+    forecast from that fall would be of a wash that nobody made.
+    """
+    settled = np.tile(np.arange(level.shape[1]), (level.shape[0], 1))
+    unit = np.arange(level.shape[0])
+    for flight in range(1, level.shape[1]):
+        standing = settled[:, flight - 1]
+        fall = level[unit, standing] - level[:, flight]
+        in_doubt = (fall > DROP) & (fall < DOUBT_SDS * sd[:, flight]) & (flight - standing <= MOST_IN_DOUBT)
+        settled[:, flight] = np.where(in_doubt, standing, flight)
+    return settled
 
 
 def _curves(rows: pl.DataFrame, component: str) -> Array:

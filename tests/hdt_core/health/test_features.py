@@ -86,6 +86,14 @@ def test_noise_is_no_drop(nothing_done, fall, flights):
     assert describe(loss, nothing_done)["flights_since_drop"][-1] == flights
 
 
+@pytest.mark.parametrize(("sd", "flights"), [(0.049, 100 - 60 - DROP_FLIGHTS), (0.051, 99)])
+def test_fall_in_doubt_is_no_drop(nothing_done, sd, flights):
+    """Within two standard deviations."""
+    long = health(0.2 - 0.1 * (np.arange(100) >= 60)).with_columns(sd=sd)
+
+    assert describe_track(long, nothing_done)["flights_since_drop"][-1] == flights
+
+
 def late_step(loss: np.ndarray, k: int) -> float:
     """Median of three flights less that of the twelve before, less eight flights of the trend (0 to .004)."""
     past = loss[max(0, k - 32) : k - 2]

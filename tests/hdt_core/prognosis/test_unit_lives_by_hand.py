@@ -292,6 +292,23 @@ def test_panel_has_the_known_flights(track):
     assert track.panel.day[0, 0] == 2.0
 
 
+def settled_losses(loss: list[float], sd: list[float]) -> list[float]:
+    """Losses that forecasts of a sole unit are made of."""
+    rows = fly(len(loss), hx_fouling=loss, hx_fouling_sd=sd, hx_ln_ua_ratio=-0.1)
+    return tracks(rows, episodes(rows, faults_on(), log()), "HX").panel.level[0].tolist()
+
+
+@pytest.mark.parametrize(("fallen", "stands"), [(0.09, 0.09), (0.11, 0.3)])
+def test_loss_stands_while_fall_is_in_doubt(fallen, stands):
+    """One flight's fall lies beyond two of its standard deviations, or within them: a faulty reading."""
+    assert settled_losses([0.3, fallen, 0.3], [0.01, 0.1, 0.01]) == pytest.approx([0.3, stands, 0.3])
+
+
+def test_long_doubt_ends():
+    """A fall that lasts for more than three flights counts, however unsure each is."""
+    assert settled_losses([0.3] + [0.2] * 5, [0.01] + [0.1] * 5) == pytest.approx([0.3] * 4 + [0.2] * 2)
+
+
 def test_curves_fall_by_kelvin(track):
     np.testing.assert_allclose(track.curves[0, 3, 1], [0.0, -0.3, -0.6, -0.75, -0.9])
 
@@ -361,7 +378,7 @@ def test_simulated_rows_take_twentieth_flights():
 
 @pytest.fixture(scope="module")
 def compressor_track() -> Tracks:
-    features = fly(60, cc_efficiency_loss=[None] + [0.01 * k for k in range(1, 60)], cc_efficiency_loss_sd=0.2,
+    features = fly(60, cc_efficiency_loss=[None] + [0.01 * k for k in range(1, 60)], cc_efficiency_loss_sd=0.02,
                    cc_diameter_loss=0.1)  # fmt: skip
     return tracks(features, episodes(features, faults_on((20, CC_CODE)), log((24, "CC", "REPLACED", ""))), "CC")
 
