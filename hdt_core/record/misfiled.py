@@ -1,15 +1,16 @@
-"""Find flights that another aircraft of the operator flew, by how their two packs differ.
+"""Find single flights whose two packs differ as those of another aircraft, or as their own in each other's place.
 
 What distinguishes two packs (offsets of sensors, ducts, wear, the flow they are set to) is an aircraft's own. A flight
-that leaves its aircraft's usual differences, before and after, and has another's, was delivered under a wrong tail. A
-unit, sensor or map that is changed moves all flights from then on, so the flights after it are like each other.
+that leaves its aircraft's usual differences, before and after, and has another's, was delivered under a wrong tail. One
+that has its own with the opposite sign was recorded with the packs exchanged. A unit, sensor or map that is changed
+moves all flights from then on, so the flights after it are like each other.
 """
 
 from typing import Literal
 
 import polars as pl
 
-from hdt_core.record.exchange import BETWEEN_PACKS, flight_to_flight_sd
+from hdt_core.record.exchange import BETWEEN_PACKS, EXCHANGED, flight_to_flight_sd
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 
 MISFILED = "misfiled"
@@ -31,7 +32,7 @@ MARGIN_A_DOUBLING = 0.5
 
 
 def misfiled(flights: pl.DataFrame) -> pl.DataFrame:
-    """Select the flights that are like another aircraft's of the operator and unlike their own aircraft's.
+    """Select the flights unlike their own aircraft's: like another's of the operator, or with the packs exchanged.
 
     Parameters
     ----------
@@ -41,10 +42,27 @@ def misfiled(flights: pl.DataFrame) -> pl.DataFrame:
     Returns
     -------
     DataFrame
-        `FLIGHT`, `reason`, `other_flight_id`: the flight before it, or else after it, of the aircraft that it is like.
+        `FLIGHT`, `reason`, `other_flight_id`: the flight before it, or else after it, of the aircraft that it is like;
+        null where the packs were exchanged.
     """
     ordered = _with_scatter(flights.select(*FLIGHT, "departed_at", *BETWEEN_PACKS).sort("departed_at", "flight_id"))
     suspects = _unlike_their_own(ordered)
+    exchanged = _exchanged_once(suspects, ordered)
+    others = _like_another(suspects.join(exchanged, on=FLIGHT, how="anti"), ordered)
+    return pl.concat([exchanged, others], how="diagonal")
+
+
+def _exchanged_once(suspects: pl.DataFrame, ordered: pl.DataFrame) -> pl.DataFrame:
+    """Select the flights that are like their own aircraft's with the packs in each other's place."""
+    mirrored = suspects.with_columns(-pl.col(BETWEEN_PACKS.keys()), like="tail")
+    compared = _compare(mirrored, ordered).with_columns(from_mirrored=_from_nearer())
+    is_like_mirrored = pl.col("from_mirrored") < LIKE
+    is_unlike_own = pl.col("from_own") - pl.col("from_mirrored") > MARGIN
+    return compared.filter(is_like_mirrored & is_unlike_own).select(*FLIGHT, reason=pl.lit(EXCHANGED))
+
+
+def _like_another(suspects: pl.DataFrame, ordered: pl.DataFrame) -> pl.DataFrame:
+    """Select the flights that are like another aircraft's."""
     aircraft = ordered.select("operator", like="tail").unique(maintain_order=True)
     pairs = suspects.join(aircraft, on="operator", maintain_order="left", validate="m:m")
     pairs = pairs.filter(pl.col("like") != pl.col("tail"))

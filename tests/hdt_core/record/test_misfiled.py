@@ -17,7 +17,7 @@ N_DAYS, LEGS, N_AIRCRAFT = 20, 3, 3
 N_FLIGHTS = N_DAYS * LEGS
 PLACE = 30
 """Place of the flight that is changed, in order of departure."""
-USUAL = np.array([[3.0, -2.0, 1.5, 0.5, -1.5, 1.0, 2.0, 0.0], [0.0] * 8, [-3.0, 2.0, -1.5, -0.5, 1.5, -1.0, -2.0, 0.0]])
+USUAL = np.array([[3.0, -2.0, 1.5, 0.5, -1.5, 1.0, 2.0, 0.0], [0.0] * 8, [-3.0, -3.0, -1.5, 2.5, 1.5, 3.0, -2.0, 2.0]])
 """How the packs of each aircraft differ, in standard deviations from flight to flight."""
 
 
@@ -56,6 +56,20 @@ def test_verdict_names_aircraft_that_flew(differences):
     differences[0, PLACE] = USUAL[2]
 
     assert misfiled(listed(differences))["other_flight_id"].str.head(6).to_list() == ["LX-AA2"]
+
+
+def test_single_exchange_of_packs_is_named(differences):
+    differences[0, PLACE] = -USUAL[0]
+
+    verdict = misfiled(listed(differences)).select("reason", "other_flight_id")
+
+    assert verdict.rows() == [("packs_exchanged", None)]
+
+
+def test_packs_that_read_alike_are_not_exchanged(differences):
+    differences[1, PLACE] = -differences[1, PLACE]
+
+    assert held_places(listed(differences)) == []
 
 
 def test_strange_flight_like_none_stays(differences):
