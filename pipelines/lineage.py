@@ -152,7 +152,7 @@ STAGES = (
     }, untracked=("raw_fleet",), label="messages and maintenance"),
     declare_stage(
         "raw", "raw", "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights",
-        files=FLIGHT_FILES, code="5", untracked=("raw_fleet",), fresh="raw_flights", label="flights",
+        files=FLIGHT_FILES, code="6", untracked=("raw_fleet",), fresh="raw_flights", label="flights",
         batch_factor=1,
     ),
     declare_stage(

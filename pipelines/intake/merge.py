@@ -8,13 +8,12 @@ from typing import NamedTuple
 import polars as pl
 
 from pipelines.intake.columns import SI_NAMES, WORDS
+from pipelines.intake.copies import SAME, repeats
 from pipelines.intake.faults import MAX_ROWS_LISTED, NO_FAULTS, Fault, quarantine
 
 FLIGHT = ("operator", "source", "flight_id")
 KEY = (*FLIGHT, "pack", "time_utc")
 VALUES = (*SI_NAMES, *WORDS)
-SAME = 1e-6
-"""Relative difference up to which two values are the same: a 32-bit float and the text it was printed from."""
 ACCOUNT = ("file", "flight_id")
 REPLACED_ROW = "replaced_row"
 SAME_TIME = "same_time"
@@ -32,12 +31,13 @@ class MergeResult(NamedTuple):
 def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, datetime]) -> MergeResult:
     """Store each flight, pack and time once.
 
-    What one file holds of a flight is a delivery. Deliveries that contradict each other are never mixed: the one with
-    most rows wins as a whole, then with most values, then the file named after its flight, then by name. Its rows are
-    stored, and those of the other that differ are quarantined as `conflicting_delivery`. Deliveries that agree complete
-    each other, and of their rows of one key the one with most values is stored. So the stored rows depend on what was
-    delivered, never on when; all deliveries of a flight must be merged together. Of a file's own rows of one key one is
-    stored, and those that differ are quarantined as `same_time`.
+    What one file holds of a flight is a delivery. Deliveries that contradict each other, by other values at one
+    time or by the same readings at other times, are never mixed: the one with most rows wins as a whole, then with
+    most values, then the file named after its flight, then by name. Its rows are stored, and those of the other
+    that differ are quarantined as `conflicting_delivery`. Deliveries that agree complete each other, and of their
+    rows of one key the one with most values is stored. So the stored rows depend on what was delivered, never on
+    when; all deliveries of a flight must be merged together. Of a file's own rows of one key one is stored, and
+    those that differ are quarantined as `same_time`.
 
     Parameters
     ----------
@@ -52,7 +52,8 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
         `rows` sorted by flight, time and pack; `duplicates` with `file, flight_id, n_duplicate`; `quarantine`.
     """
     rows = pl.concat(list(frames))
-    has_rival = rows.select(pl.struct(KEY).is_duplicated()).to_series()
+    in_other_file = pl.col("file") != pl.col("file").first().over(FLIGHT)
+    has_rival = rows.select(pl.struct(KEY).is_duplicated() | in_other_file).to_series()
     rival_flights = rows.filter(has_rival).select(FLIGHT).unique()
     single = rows.join(rival_flights, on=FLIGHT, how="anti")
     contested = rows.join(rival_flights, on=FLIGHT, how="semi")
@@ -67,21 +68,43 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
 
 
 def _choose(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Choose the rows to store, one a key; all others with the `winner`, the first delivery of their flight."""
+    """Choose the rows to store, one a key; all others with the `winner`, the first delivery of their flight.
+
+    `is_copy` says whether their delivery holds what is stored at other times.
+    """
     own, same_key_in_file = _best_of_key(rows, (*KEY, "file"))
     ranks = _rank_deliveries(own)
     by_rank = own.join(ranks, on=(*FLIGHT, "file"), validate="m:1")
     consistent = by_rank.filter(pl.col("rank") == 1)
+    copies = []
     lowest = ranks.select(pl.col("rank").max()).item() or 1
     for rank in range(2, lowest + 1):
         of_rank = by_rank.filter(pl.col("rank") == rank)
         contradicting = contradictions(of_rank, consistent).select(FLIGHT).unique()
-        consistent = pl.concat([consistent, of_rank.join(contradicting, on=FLIGHT, how="anti")])
+        agreeing = of_rank.join(contradicting, on=FLIGHT, how="anti")
+        copied = _copied_flights(agreeing, consistent)
+        copies.append(agreeing.join(copied, on=FLIGHT, how="semi").select(*FLIGHT, "file").unique())
+        consistent = pl.concat([consistent, agreeing.join(copied, on=FLIGHT, how="anti")])
     stored_rows, same_key = _best_of_key(consistent, KEY)
     of_rejected = by_rank.join(consistent.select(*FLIGHT, "file").unique(), on=(*FLIGHT, "file"), how="anti")
     others = [*(f.select(rows.columns) for f in (same_key, of_rejected)), same_key_in_file]
     winners = ranks.filter(pl.col("rank") == 1).select(*FLIGHT, winner="file")
-    return stored_rows.select(rows.columns), pl.concat(others).join(winners, on=FLIGHT, how="left", validate="m:1")
+    is_copy = pl.concat([ranks.clear().select(*FLIGHT, "file"), *copies]).with_columns(is_copy=pl.lit(True))
+    with_winners = pl.concat(others).join(winners, on=FLIGHT, how="left", validate="m:1")
+    with_copies = with_winners.join(is_copy, on=(*FLIGHT, "file"), how="left", validate="m:1")
+    return stored_rows.select(rows.columns), with_copies.with_columns(pl.col("is_copy").fill_null(False))
+
+
+def _copied_flights(rows: pl.DataFrame, others: pl.DataFrame) -> pl.DataFrame:
+    """Find the flights of which `rows`, one delivery each, are the `others` at other times.
+
+    Reports only: a flight's log comes under one name.
+    """
+    reports = rows.filter(pl.col("source") == "acms").join(others, on=KEY, how="anti")
+    of_flights = others.join(reports, on=FLIGHT, how="semi").partition_by(FLIGHT, as_dict=True)
+    flights = reports.partition_by(FLIGHT, as_dict=True)
+    copied = [flight for flight, own in flights.items() if repeats(own, of_flights[flight])]
+    return pl.DataFrame(copied, schema=rows.select(FLIGHT).schema, orient="row")
 
 
 def _best_of_key(rows: pl.DataFrame, key: tuple[str, ...]) -> tuple[pl.DataFrame, pl.DataFrame]:
@@ -147,6 +170,8 @@ def _conflict_rows(differing: pl.DataFrame, received_at: Mapping[str, datetime])
         detail = f"It conflicts with row {row['row_in_file stored']} of {row['file stored']}."
         if not row["is_stored"]:
             detail = f"Its delivery conflicts with {row['winner']}, which does not hold this row."
+        if row["is_copy"]:
+            detail = f"Its delivery repeats {row['winner']} at other times."
         columns = row["differs"] if row["is_stored"] else None
         fault = row["reason"], row["row_in_file"], columns, detail, 1, row["flight_id"], _content(row)
         faults.append((row["file"], Fault(*fault)))

@@ -156,6 +156,22 @@ def test_agreeing_deliveries_complete_each_other(zone):
     assert zone.reasons() == ["flight_id_from_column"]
 
 
+@pytest.mark.parametrize("paths", [(CSV, COPY), (COPY, CSV)])
+def test_copy_at_other_times_is_one(zone, paths):
+    for path in paths:
+        zone.deliver(path, an_hour_later if path == COPY else lambda c: c)
+        rows = zone.night()
+    assert (rows.height, of_one_file(rows)) == (N, CSV)
+    assert zone.quarantine.filter(reason="conflicting_delivery")["file"].to_list() == [COPY] * N
+
+
+def test_copy_of_vanished_file_is_seen(zone, good_rows):
+    (zone.landing / CSV).unlink()
+    zone.deliver(COPY, an_hour_later)
+    for _ in range(2):
+        assert zone.night().equals(good_rows)
+
+
 def test_vanished_winner_still_wins(zone, good_rows):
     (zone.landing / CSV).unlink()
     zone.deliver(COPY, both(warmer, head(40)))

@@ -1,6 +1,7 @@
 """Late, repeated and out-of-order deliveries end where a clean delivery ends."""
 
 import random
+from datetime import timedelta
 
 import polars as pl
 import pytest
@@ -134,6 +135,73 @@ def test_log_is_another_record(rows):
 
 def test_no_rows_merge_to_none(rows):
     assert all(f.is_empty() for f in merge_deliveries([rows.clear()], {}))
+
+
+def at_other_times(rows: pl.DataFrame, seconds: int) -> pl.DataFrame:
+    """Rows of another file whose clock is ahead."""
+    return rows.with_columns(pl.col("time_utc") + timedelta(seconds=seconds), file=pl.lit(COPY))
+
+
+@pytest.mark.parametrize("seconds", [7, 30, -3_600, 3 * 3_600, -5 * 3_600])
+def test_flight_at_other_times_is_one(rows, seconds):
+    merged = merge_deliveries([rows, at_other_times(rows, seconds)], {})
+    assert merged.rows.equals(merge_deliveries([rows], {}).rows)
+    assert merged.quarantine["reason"].to_list() == ["conflicting_delivery"] * 42
+
+
+def test_other_times_are_told(rows):
+    told = merge_deliveries([rows, at_other_times(rows, 7)], {}).quarantine
+    assert told["detail"].str.contains(f"repeats {CSV} at other times", literal=True).all()
+
+
+def test_copy_at_whole_minutes_is_seen(rows):
+    whole = rows.with_columns(pl.col("time_utc").dt.truncate("1m"), file=pl.lit(COPY))
+    assert merge_deliveries([rows, whole], {}).rows["file"].unique().to_list() == [CSV]
+
+
+def test_rounded_copy_is_seen(rows):
+    tenths = (pl.col(c.si_name).sub(c.offset).truediv(c.scale).round(1) * c.scale + c.offset for c in SIGNAL_COLUMNS)
+    rounded = at_other_times(rows, 7).with_columns(tenths)
+    assert merge_deliveries([rows, rounded], {}).rows.height == 42
+
+
+def test_fuller_copy_is_stored(rows):
+    copy = at_other_times(rows, 7)
+    stored = merge_deliveries([rows.head(20), copy], {}).rows
+    assert stored["file"].unique().to_list() == [COPY]
+
+
+def test_copy_of_two_parts_is_seen(rows):
+    """Neither part alone holds most of it."""
+    parts = rows.with_columns(file=pl.when(pl.col("pack") == 1).then(pl.lit("a")).otherwise(pl.lit("b")))
+    merged = merge_deliveries([parts, at_other_times(rows.tail(20), 7)], {})
+    assert merged.rows["file"].value_counts(sort=True)["count"].to_list() == [21, 21]
+
+
+NTH_TIME = pl.col("time_utc").rank("dense")
+
+
+@pytest.mark.parametrize(
+    "in_copy",
+    [NTH_TIME % 2 == 0, NTH_TIME % 3 == 0, NTH_TIME > 10, pl.col("pack") == 2],
+    ids=["alternate", "each third", "later", "pack"],
+)
+def test_parts_complete_each_other(rows, in_copy):
+    parts = rows.with_columns(file=pl.when(in_copy).then(pl.lit(COPY)).otherwise("file"))
+    merged = merge_deliveries([parts], {})
+    assert (merged.rows.height, merged.quarantine.height) == (42, 0)
+
+
+def test_constant_reports_prove_no_copy(rows):
+    still = rows.with_columns(pl.col(c.si_name).first().over("pack") for c in SIGNAL_COLUMNS)
+    parts = still.with_columns(file=pl.when(NTH_TIME % 2 == 0).then(pl.lit(COPY)).otherwise("file"))
+    assert merge_deliveries([parts], {}).rows.height == 42
+
+
+@pytest.mark.parametrize(("n_reports", "n_stored"), [(4, 46), (5, 42)])
+def test_five_reports_prove_a_copy(rows, n_reports, n_stored):
+    few = at_other_times(rows.filter(pack=1).head(n_reports), 7)
+    assert merge_deliveries([rows, few], {}).rows.height == n_stored
 
 
 @pytest.fixture(scope="module")
