@@ -65,7 +65,9 @@ def ingest_flights(
     result = merge_deliveries([rows, stored_rows.rows(with_rows)], received_at)
     merged_of_files = MergeResult(*(part.join(with_rows, on=ACCOUNT, how="semi") for part in result))
     account = _account(rows, quarantine, merged_of_files)
-    quarantine = pl.concat([quarantine, result.quarantine])
+    noted = pl.concat([quarantine, stored_rows.quarantine()], how="diagonal").filter(n_rows=0)
+    of_merge = result.quarantine.join(noted, on=(*ACCOUNT, "reason"), how="anti")
+    quarantine = pl.concat([quarantine, of_merge])
     return IngestResult(
         result.rows,
         pl.concat([account, stored_rows.deliveries(result, with_rows)]).group_by(ACCOUNT).sum().with_columns(**names),

@@ -10,6 +10,7 @@ import polars as pl
 from pipelines.intake.columns import SI_NAMES, WORDS
 from pipelines.intake.copies import SAME, repeats
 from pipelines.intake.faults import MAX_ROWS_LISTED, NO_FAULTS, Fault, quarantine
+from pipelines.intake.silences import note_silences
 
 FLIGHT = ("operator", "source", "flight_id")
 KEY = (*FLIGHT, "pack", "time_utc")
@@ -21,7 +22,7 @@ _PLACE = ("file", "row_in_file")
 
 
 class MergeResult(NamedTuple):
-    """One row a key; for each file and flight the number of duplicates; quarantine rows of conflicting deliveries."""
+    """One row a key; for each file and flight the number of duplicates; quarantine rows of the flights as merged."""
 
     rows: pl.DataFrame
     duplicates: pl.DataFrame
@@ -63,7 +64,7 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
     return MergeResult(
         pl.concat([single, stored_rows]).sort("operator", "flight_id", "source", "time_utc", "pack"),
         duplicates.sort("file", "flight_id"),
-        _conflict_rows(differing, received_at),
+        pl.concat([_conflict_rows(differing, received_at), _note_silences_between_files(stored_rows, received_at)]),
     )
 
 
@@ -182,6 +183,14 @@ def _conflict_rows(differing: pl.DataFrame, received_at: Mapping[str, datetime])
     for file, flight_id, reason, n in more.iter_rows():
         faults.append((file, Fault(reason, detail=f"And {n} more rows.", n_rows=n, flight_id=flight_id)))
     return _quarantine(faults, received_at)
+
+
+def _note_silences_between_files(stored_rows: pl.DataFrame, received_at: Mapping[str, datetime]) -> pl.DataFrame:
+    """Note flights of several files that lie hours apart; the file of the last report has the note."""
+    of_files = stored_rows.filter(pl.col("file").n_unique().over(FLIGHT) > 1)
+    last_file = pl.col("file").sort_by("time_utc", "pack").last().over(FLIGHT)
+    notes = note_silences(of_files.with_columns(last_file), ACCOUNT)
+    return _quarantine(notes, received_at)
 
 
 def _quarantine(faults: Iterable[tuple[str, Fault]], received_at: Mapping[str, datetime]) -> pl.DataFrame:

@@ -7,10 +7,10 @@ from datetime import UTC, datetime, time, timedelta
 
 import polars as pl
 
-from hdt_core.record.facts import SILENCE_S, ground_stops
 from pipelines.intake.columns import AIRPORTS, PHASE, SIGNAL_COLUMNS, SIGNAL_NAMES, WORDS, pressure_over_atmosphere
 from pipelines.intake.faults import MAX_ROWS_LISTED, Fault, first_and_rest
 from pipelines.intake.landing_file import EARLIEST, LandingFile, flight_day, flight_tail, is_history
+from pipelines.intake.silences import note_silences
 from pipelines.intake.unit_slips import OUTSIDE, find_unit_slips
 
 EARLY, LATE = timedelta(hours=3), timedelta(hours=48)
@@ -200,7 +200,8 @@ def _notes(rows: pl.DataFrame, files: Sequence[LandingFile]) -> list[tuple[int, 
             notes.append((i, Fault("fewer_packs", None, "pack", detail)))
         if file.flight is None and not is_history(file.name):
             notes.append((i, Fault("flight_id_from_column")))
-    return notes + _long_silences(rows) + _implausible_pressure(rows)
+    silences = note_silences(_in_si(rows).rename({"report_time": "time_utc"}), ("file_index", "flight_id"))
+    return notes + silences + _implausible_pressure(rows)
 
 
 def _implausible_pressure(rows: pl.DataFrame) -> list[tuple[int, Fault]]:
@@ -215,35 +216,6 @@ def _implausible_pressure(rows: pl.DataFrame) -> list[tuple[int, Fault]]:
     return [
         (i, Fault("implausible_pressure", None, column, f"It is {ratio:.2g} times that.", flight_id=flight))
         for i, flight, ratio in odd.drop("n").iter_rows()
-    ]
-
-
-def _long_silences(rows: pl.DataFrame) -> list[tuple[int, Fault]]:
-    """Make a note for each flight that was on the ground in between, or whose reports are hours apart.
-
-    The clock was set during a flight of the second kind.
-    """
-    key = ["file_index", "flight_id"]
-    stops = ground_stops(_in_si(rows).rename({"report_time": "time_utc"}), key)
-    notes = [
-        (
-            i,
-            Fault(
-                "two_legs", None, "report_time", f"Nothing in the air for {seconds // 60} minutes.", flight_id=flight
-            ),
-        )
-        for i, flight, seconds in stops.iter_rows()
-    ]
-    longest = pl.col("report_time").sort().diff().max().alias("silence")
-    flights = (
-        rows.group_by(key)
-        .agg(longest)
-        .filter(pl.col("silence").dt.total_seconds() > SILENCE_S)
-        .join(stops, on=key, how="anti")
-    )
-    return notes + [
-        (i, Fault("clock_jump", None, "report_time", f"Longest silence: {silence}.", flight_id=flight))
-        for i, flight, silence in flights.sort(key).iter_rows()
     ]
 
 

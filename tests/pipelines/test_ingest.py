@@ -10,7 +10,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from spoils import Spoil, column, field, fields_of, joined
+from spoils import Spoil, column, field, fields_of, joined, retimed
 
 from pipelines.intake import scan as scan_module
 from pipelines.intake.ingest import ingest_flights
@@ -154,6 +154,23 @@ def test_agreeing_deliveries_complete_each_other(zone):
     zone.deliver(COPY, lambda c: joined([fields_of(c)[0], *fields_of(c)[-25:]]))
     assert zone.night().height == N
     assert zone.reasons() == ["flight_id_from_column"]
+
+
+def test_second_leg_in_other_file_is_noted(zone):
+    zone.deliver(CSV)
+    zone.deliver(COPY, both(warmer, retimed(lambda time: time.replace("-25T", "-26T"))))
+    for _ in range(2):
+        assert zone.night().height == 2 * N
+        assert zone.reasons() == ["flight_id_from_column", "two_legs"]
+
+
+def test_note_of_vanished_file_stands_once(zone):
+    zone.deliver(CSV)
+    zone.deliver(COPY, both(warmer, retimed(lambda time: time.replace("-25T", "-26T"))))
+    zone.night()
+    (zone.landing / COPY).unlink()
+    zone.night()
+    assert zone.quarantine.filter(reason="two_legs").height == 1
 
 
 @pytest.mark.parametrize("paths", [(CSV, COPY), (COPY, CSV)])
