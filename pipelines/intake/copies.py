@@ -1,4 +1,4 @@
-"""Tell whether one delivery of a flight is another at other times."""
+"""Find whether one delivery of a flight is another one at other times."""
 
 import numpy as np
 import polars as pl
