@@ -166,16 +166,16 @@ STAGES = (
         "calibration", "calibration",
         "calibration_dsm", "calibration_design", "calibration_schedules", "calibration_window",
         parents=("legs_samples", "legs_verdicts", "raw_maintenance", "raw_messages", "raw_reports"), baseline=True,
-        settings=("design of packs",), code="19", label="digital system model",
+        settings=("design of packs",), code="20", label="digital system model",
     ),
     declare_stage(
         "twin_flights", "twin", "twin_flights", parents=("legs_samples", "calibration_dsm"),
-        settings=("health of packs",), code="5", fresh="twin_flights", label="operational twins",
+        settings=("health of packs",), code="6", fresh="twin_flights", label="operational twins",
     ),
     declare_stage("residuals", "residuals", "residuals", parents=("twin_flights",), code="3", fresh="residuals"),
     declare_stage(
         "indicators", "features", "legs_indicators", "features_cross_checks",
-        parents=("legs_samples", "calibration_schedules"),
+        parents=("legs_samples", "calibration_schedules"), code="2",
     ),
     declare_stage(
         "features_margin", "features", "features_margin",
@@ -205,7 +205,7 @@ STAGES = (
         "legs_admitted", "features", "legs_admitted",
         parents=(
             "twin_flights", "twin_health", "legs_indicators", "raw_messages", "raw_maintenance", "raw_reports"
-        ), code="5",
+        ), code="6",
     ),
     declare_stage(
         "features", "features", "features", "features_components", "features_work",

@@ -25,13 +25,14 @@ class Points:
     """Cruise points of many packs as arrays (n,), sorted by pack, then flight.
 
     `pack` counts packs from 0, `flight` is the tail's flight order from 0, `n_samples` how many samples a point
-    averages.
+    averages, `flow_step_ln` how coarse the recorder's pack flow is, 0 of a fine one.
     """
 
     signals: dict[str, Array]
     pack: Array
     flight: Array
     n_samples: Array
+    flow_step_ln: Array | float = 0.0
 
     def __len__(self) -> int:
         return len(self.pack)
@@ -95,7 +96,10 @@ def level_points(cruise: pl.DataFrame, flights: pl.DataFrame) -> pl.DataFrame:
 
 
 def to_points(frame: pl.DataFrame, packs: pl.DataFrame) -> Points:
-    """Convert a frame of points or samples to arrays; `packs` (rows of `PACK`) numbers the packs."""
+    """Convert a frame of points or samples to arrays; `packs` (rows of `PACK`) numbers the packs.
+
+    With `pack_flow_step_ln` of `flow_steps` where the recorder's step counts.
+    """
     rows = frame.join(packs.with_row_index("pack_index"), on=PACK, how="left", maintain_order="left", validate="m:1")
     signals = {name: rows[name].to_numpy().astype(float) for name in (*MODEL_SIGNALS, "ram_out_k")}
     return Points(
@@ -103,4 +107,5 @@ def to_points(frame: pl.DataFrame, packs: pl.DataFrame) -> Points:
         rows["pack_index"].to_numpy().astype(np.int64),
         rows["order"].to_numpy().astype(np.int64),
         rows["n_samples"].to_numpy().astype(float),
+        rows["pack_flow_step_ln"].fill_null(0.0).to_numpy() if "pack_flow_step_ln" in rows.columns else 0.0,
     )

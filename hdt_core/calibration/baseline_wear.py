@@ -13,7 +13,7 @@ import polars as pl
 
 from hdt_core.calibration.arrays import Array
 from hdt_core.calibration.dsm import Dsm
-from hdt_core.records.keys import IN_ORDER, PACK
+from hdt_core.records.keys import FLIGHT, IN_ORDER, PACK
 from hdt_core.records.unit_index import REPLACEMENT, log_flags, number_units
 from hdt_core.robust import spread
 
@@ -83,21 +83,27 @@ def entry_posterior(ratio: Array, ratio_var: Array, level: float, offset_sd: flo
     return InitialWear(mean, (weight * variance).sum(axis=1))
 
 
-def fleet_levels(twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm) -> Dsm:
+def fleet_levels(
+    twin_flights: pl.DataFrame, maintenance: pl.DataFrame, dsm: Dsm, coarse: pl.DataFrame | None = None
+) -> Dsm:
     """Complete a model with the distribution of clean units: level, sd by unit, scatter by flight.
 
     Parameters
     ----------
     twin_flights : DataFrame
         Of `estimate_flights` over the baseline.
+    coarse : DataFrame, optional
+        `FLIGHT` of those whose flow is recorded in coarse steps: their scatter is not the fleet's where others show it.
     """
     ratio = pl.col("ln_ua_ratio")
     flights = twin_flights.drop_nulls("ln_ua_ratio").sort(IN_ORDER)
     if not flights.height:
         return dsm
-    steps = flights.with_columns((ratio.diff().over(PACK) / np.sqrt(2.0)).alias("step"))["step"].drop_nulls().to_numpy()
+    fine = flights if coarse is None else flights.join(coarse, on=FLIGHT, how="anti", maintain_order="left")
+    typical = fine if fine.height else flights
+    steps = typical.with_columns((ratio.diff().over(PACK) / np.sqrt(2.0)).alias("step"))["step"].drop_nulls().to_numpy()
     scatter = spread(steps) if len(steps) >= 20 else dsm.flight_sd
-    sampling = float((flights["ln_ua_ratio_sd"].to_numpy() ** 2).mean())
+    sampling = float((typical["ln_ua_ratio_sd"].to_numpy() ** 2).mean())
     flight_sd = float(np.sqrt(max(scatter**2 - sampling, MIN_FLIGHT_SD**2)))
     levels = first_levels(flights)
     # units whose installation is logged are new

@@ -31,10 +31,11 @@ from hdt_core.components.pack import PARTS, Parts
 from hdt_core.estimation import Estimate
 from hdt_core.estimation.panel import Panel, PanelLeastSquares
 from hdt_core.flight.legs import baseline_flights
+from hdt_core.flight.samples import flow_steps
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import within
-from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER, PACK, of_each_aircraft
+from hdt_core.records.keys import FLIGHT, FLIGHT_PACK, IN_ORDER, PACK, of_each_aircraft
 from hdt_core.robust import median_error
 
 TERM_ROUNDS = 3
@@ -89,7 +90,8 @@ def _calibrate(
 ) -> Dsm:
     draft = _draft_model(samples, legs, terms, parts)
     estimates = of_each_aircraft(baseline_samples(samples), lambda pack_samples: estimate_flights(pack_samples, draft))
-    model = fleet_levels(estimates, maintenance, draft)
+    steps = flow_steps(baseline_samples(samples))
+    model = fleet_levels(estimates, maintenance, draft, steps.filter(pl.col("pack_flow_step_ln") > 0.0))
     return replace(model, levels=exchanger_levels(estimates, model))
 
 
@@ -101,7 +103,10 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
     window = baseline_samples(samples)
     cruise = cruise_samples(window).join(nominal, on=FLIGHT_PACK, how="semi")
     packs = flights.select(PACK).unique().sort(PACK)
-    points = to_points(level_points(correct_inputs(cruise, terms), flights), packs)
+    levels = level_points(correct_inputs(cruise, terms), flights)
+    steps = flow_steps(window)
+    levels = levels.join(steps, on=FLIGHT, how="left", maintain_order="left", validate="m:1")
+    points = to_points(levels, packs)
     panel = exchanger_panel(points, *sensor_prior(cruise, packs))
     estimate, bias = _exchanger_design(points, panel, parts.exchanger)
     design = estimate.belief.mean
@@ -133,7 +138,8 @@ def _draft_model(samples: pl.DataFrame, legs: pl.DataFrame, terms: dict[str, flo
         exchanger_status=estimate.status,
         exchanger_method=estimate.method,
     )
-    cruise = cruise.sort(*FLIGHT_PACK, "time_utc", "source")
+    fine = cruise.join(steps.filter(pl.col("pack_flow_step_ln") > 0.0), on=FLIGHT, how="anti")
+    cruise = (fine if fine.height else cruise).sort(*FLIGHT_PACK, "time_utc", "source")
     return replace(draft, hot_inlet=learn_inlet(cruise, draft.design, draft.bias_of(cruise)))
 
 

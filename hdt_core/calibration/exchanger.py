@@ -121,6 +121,9 @@ def exchanger_panel(points: Points, bias_mean: Array, bias_sd: Array) -> Panel:
         flow = np.log(clean_ram_flow_kg_s(points.signals, design)) - np.log(points.signals["pack_flow_kg_s"])
         return np.array([(np.nanmedian(flow) - LN_FLOW_RATIO) / LN_FLOW_RATIO_SD])
 
+    noise_sd = NOISE_SDS / np.sqrt(np.minimum(points.n_samples, MAX_AVERAGED))[:, None]
+    # samples of a steady flow are all rounded alike
+    noise_sd[:, 0] = np.hypot(noise_sd[:, 0], points.flow_step_ln / np.sqrt(12.0))
     return Panel(
         names=NAMES,
         bounds=np.column_stack([LOW, HIGH]),
@@ -131,7 +134,7 @@ def exchanger_panel(points: Points, bias_mean: Array, bias_sd: Array) -> Panel:
         time=points.flight,
         levelled=Equation(partial(ln_conductance_ratio, points.signals), LAW_SD, effect),
         walk=Walk(HEALTH_STEP, FLIGHT_SD, FIRST_LEVEL_SD),
-        noise_sd=NOISE_SDS / np.sqrt(np.minimum(points.n_samples, MAX_AVERAGED))[:, None],
+        noise_sd=noise_sd,
         step=np.full(len(NAMES), STEP),
         unit_step=STEP_SDS * BIAS_SDS,
         others=(ram,) if has_ram_outlet else (),

@@ -19,10 +19,10 @@ from hdt_core.components.pack import PARTS, Parts
 from hdt_core.estimation.batch import Batch
 from hdt_core.estimation.descent import gauss_newton
 from hdt_core.estimation.problem import unknown
-from hdt_core.flight.samples import RUNNING_KG_S
+from hdt_core.flight.samples import RUNNING_KG_S, flow_steps
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance, with_static_pressure
 from hdt_core.physics.model import Array
-from hdt_core.records.keys import FLIGHT_PACK, IN_ORDER
+from hdt_core.records.keys import FLIGHT, FLIGHT_PACK, IN_ORDER
 from hdt_core.robust import MAD_TO_SD, huber_weights
 from hdt_core.tables.base import finite
 
@@ -74,6 +74,7 @@ def estimate_flights(samples: pl.DataFrame, dsm: Dsm, parts: Parts = PARTS) -> p
     flights = flights_of(samples)
     cruise = cruise_samples(samples)
     exchanger = _exchanger(correct_inputs(cruise, dsm.terms), dsm, parts.exchanger)
+    exchanger = _with_rounding(exchanger, flow_steps(samples))
     checks = _cross_checks(samples, cruise, exchanger, dsm)
     cruise_all = cruise_samples(samples, monitored=False)
     machine = _machine(compressor_samples(cruise_all, dsm.pack_table()), dsm, parts.compressor)
@@ -148,6 +149,15 @@ def _exchanger(cruise: pl.DataFrame, dsm: Dsm, part: Component) -> pl.DataFrame:
         .with_columns(clean_ua.alias("ua_expected_w_k"), (clean_ua * pl.col("ln_ua_ratio").exp()).alias("ua_w_k"))
         .drop("ln_expected")
     )
+
+
+def _with_rounding(exchanger: pl.DataFrame, steps: pl.DataFrame) -> pl.DataFrame:
+    """Add the variance of a coarse flow's rounding, a twelfth of the step's square: a steady flow keeps its error."""
+    rows = exchanger.join(steps, on=FLIGHT, how="left", maintain_order="left", validate="m:1")
+    rounding = pl.col("ratio_per_ln_flow") * pl.col("pack_flow_step_ln") / np.sqrt(12.0)
+    sd = pl.col("ln_ua_ratio_sd")
+    wider = pl.when(rounding != 0.0).then((sd**2 + rounding**2).sqrt()).otherwise(sd)
+    return rows.with_columns(wider.alias("ln_ua_ratio_sd")).drop("pack_flow_step_ln", "cc_flow_step_ln")
 
 
 def _cross_checks(samples: pl.DataFrame, cruise: pl.DataFrame, exchanger: pl.DataFrame, dsm: Dsm) -> pl.DataFrame:

@@ -14,6 +14,7 @@ from scipy.special import gammaincinv
 from hdt_core.flight.conductance_index import (
     IndexLevel,
     Manifold,
+    exceeding,
     judge_conductance,
     learn_level,
     learn_manifold,
@@ -22,8 +23,9 @@ from hdt_core.flight.conductance_index import (
 from hdt_core.flight.control_schedules import ControlSchedule, learn_outlet_schedule
 from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors, leg_checks
 from hdt_core.flight.legs import BLEED, ODD_BLEED, flag_windows, number_flights
+from hdt_core.flight.samples import flow_steps
 from hdt_core.loading import with_tuples
-from hdt_core.records.keys import LEG, of_each_aircraft
+from hdt_core.records.keys import FLIGHT, LEG, of_each_aircraft
 from hdt_core.robust import Z_90
 from hdt_core.tables.base import finite
 
@@ -37,6 +39,8 @@ LOSSES = {
     "cc_diameter_loss": ("CC_WORN", 0.5 * CONTAMINANT_LOSS),
 }
 ENOUGH_SAMPLES = 8
+FLOW_CHECKS = ("pack_over_compressor_flow_ln_off", "pack_flow_between_packs_ln_off")
+"""Of two flows each: rounding moves them by up to a whole step."""
 SECOND_LEVEL = {
     BLEED: ODD_BLEED,
     "MAINTENANCE": "too close to a maintenance action",
@@ -91,7 +95,8 @@ def leg_indicators(samples: pl.DataFrame, baseline: NominalBaseline) -> pl.DataF
     """Compute indicators leg by leg, each from its own samples: level, unrest, count of the index, means of checks."""
 
     def indicators(own: pl.DataFrame) -> pl.DataFrame:
-        checks = leg_checks(own, baseline.outlet)
+        steps = flow_steps(own).select(*FLIGHT, pl.max_horizontal(pl.exclude(FLIGHT)).alias("flow_step_ln"))
+        checks = leg_checks(own, baseline.outlet).join(steps, on=FLIGHT, how="left", validate="m:1")
         return checks.join(leg_conductance(own, baseline.manifold), on=LEG, how="full", coalesce=True, validate="m:1")
 
     return finite(of_each_aircraft(samples, indicators)).sort(LEG)
@@ -162,13 +167,17 @@ def _apply_rules(
 ) -> pl.DataFrame:
     """Apply every rule but that of outliers."""
     levels = flights.join(
-        indicators.select(*LEG, "index_level", "index_n", "index_unrest"), on=LEG, how="left", validate="m:1"
+        indicators.select(*LEG, "index_level", "index_n", "index_unrest", "index_step"),
+        on=LEG,
+        how="left",
+        validate="m:1",
     )
     rows = flag_windows(flights, maintenance, messages)
     checks = (c for c in (*LEG_CHECKS, *TWIN_CHECKS) if c in indicators.columns)
     sensor_flags = check_sensors(indicators.select(*LEG, *checks), flights)
     index_flags = judge_conductance(levels, maintenance, baseline.level)
-    for part in (sensor_flags, index_flags, _wear_reasons(health_parameters)):
+    flow_step = indicators.select(*LEG, "flow_step_ln")
+    for part in (sensor_flags, index_flags, flow_step, _wear_reasons(health_parameters)):
         rows = rows.join(
             part, on=[c for c in LEG if c in part.columns], how="left", maintain_order="left", validate="m:1"
         )
@@ -208,9 +217,14 @@ def _give_reasons(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 def _residuals(rows: pl.DataFrame) -> pl.DataFrame:
-    """Return the deviations of legs that passed all rules, weighted down where few samples make them uncertain."""
+    """Return the deviations of legs that passed all rules, weighted down where few samples make them uncertain.
+
+    What the rounding of a coarse flow makes is none.
+    """
     weight = (pl.col("index_n").fill_null(1) / ENOUGH_SAMPLES).clip(upper_bound=1.0).sqrt()
-    return rows.filter(pl.col("reason") == "").with_columns(pl.col("^.*_off$") * weight)
+    passed = rows.filter(pl.col("reason") == "")
+    beyond = passed.with_columns(exceeding(pl.col(check), "flow_step_ln") for check in FLOW_CHECKS)
+    return beyond.with_columns(pl.col("^.*_off$") * weight)
 
 
 def _without_outliers(rows: pl.DataFrame, scatter: Scatter | None) -> pl.DataFrame:

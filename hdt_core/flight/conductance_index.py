@@ -9,8 +9,9 @@ import numpy as np
 import polars as pl
 
 from hdt_core.flight.cross_checks import SMOOTHED_FLIGHTS
+from hdt_core.flight.samples import flow_steps
 from hdt_core.physics.model import Array
-from hdt_core.records.keys import LEG, PACK
+from hdt_core.records.keys import FLIGHT, LEG, PACK
 from hdt_core.records.unit_index import number_units
 from hdt_core.robust import MAD_TO_SD, huber_slopes
 
@@ -139,11 +140,19 @@ def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.Data
     -------
     DataFrame
         `LEG`, `index_level` (median), `index_n`, and `index_unrest`: the largest departure of the mean of a few
-        samples in a row from the leg's median, in standard errors; transient ice raises it, wear does not.
+        samples in a row from the leg's median, in standard errors; transient ice raises it, wear does not. Of a
+        recorder with a coarse flow only what exceeds `index_step` counts, the change by one step of the flow.
     """
     indices = add_conductance_index(samples, manifold).select(*LEG, "conductance_index").drop_nulls("conductance_index")
+    steps = flow_steps(samples).select(
+        *FLIGHT, (pl.col("pack_flow_step_ln") * _per_ln_flow(manifold)).alias("index_step")
+    )
+    indices = indices.join(steps, on=FLIGHT, how="left", maintain_order="left", validate="m:1")
     off = pl.col("conductance_index") - pl.col("conductance_index").median().over(LEG)
-    runs = [(pl.col("_off").rolling_mean(m).over(LEG).abs() * m**0.5).alias(f"_run{m}") for m in SCAN_LENGTHS]
+    runs = [
+        (exceeding(pl.col("_off").rolling_mean(m).over(LEG), "index_step").abs() * m**0.5).alias(f"_run{m}")
+        for m in SCAN_LENGTHS
+    ]
     noise = manifold.noise if manifold else np.nan  # without a law no sample has an index
     return (
         indices.with_columns(off.alias("_off"))
@@ -153,8 +162,23 @@ def leg_conductance(samples: pl.DataFrame, manifold: Manifold | None) -> pl.Data
             pl.col("conductance_index").median().alias("index_level"),
             pl.len().cast(pl.Int64).alias("index_n"),
             (pl.max_horizontal(pl.col(f"_run{m}").max() for m in SCAN_LENGTHS) / noise).alias("index_unrest"),
+            pl.col("index_step").first(),
         )
     )
+
+
+def _per_ln_flow(manifold: Manifold | None) -> float:
+    """Return the change of the index by ln of pack flow at the law's centre. [-]"""
+    if manifold is None:
+        return 0.0
+    slope = dict(zip(TERMS, manifold.slopes, strict=True))
+    door = dict(zip(TERMS, manifold.centre, strict=True))["door"]
+    return abs(slope["pack_flow"] + slope["flow_door"] * door)
+
+
+def exceeding(off: pl.Expr, step: str, share: float = 1.0) -> pl.Expr:
+    """Return what of a deviation exceeds a share of a recorder's step, with its sign; all of it without a step."""
+    return off.sign() * (off.abs() - share * pl.col(step).fill_null(0.0)).clip(0.0)
 
 
 UNIT = [*PACK, "unit"]
@@ -194,7 +218,8 @@ def judge_conductance(levels: pl.DataFrame, maintenance: pl.DataFrame, fleet: In
     Parameters
     ----------
     levels : DataFrame
-        `LEG`, `flight_number`, `departed_at`, `index_level`, `index_unrest`, `index_n`; all flights of each tail.
+        `LEG`, `flight_number`, `departed_at`, `index_level`, `index_unrest`, `index_n`, `index_step`; all flights of
+        each tail.
     maintenance : DataFrame
         Replaced exchangers (`component` HX) begin a new unit.
     fleet : IndexLevel
@@ -231,7 +256,9 @@ def _smooth(levels: pl.DataFrame, maintenance: pl.DataFrame) -> pl.DataFrame:
     units = number_units(levels, maintenance).sort(*PACK, "flight_number")
     running = pl.col("index_level").rolling_median(SMOOTHED_FLIGHTS, center=True, min_samples=2)
     smooth = units.with_columns(running.over(UNIT).alias("smooth"))
-    return smooth.with_columns((pl.col("index_level") - pl.col("smooth")).alias("index_off"))
+    off = pl.col("index_level") - pl.col("smooth")
+    # rounding moves a reading by half a step
+    return smooth.with_columns(exceeding(off, "index_step", 0.5).alias("index_off"))
 
 
 def _clean(smooth: pl.DataFrame) -> pl.DataFrame:

@@ -5,6 +5,8 @@ from math import erf, inf, log, sqrt
 
 import polars as pl
 
+from hdt_core.records.keys import FLIGHT
+
 LEVEL_RATE_M_S = 1.524  # 300 ft/min, the usual bound of level flight
 LEVEL_BAND_M = 30.48  # 100 ft: RVSM holds a flight level within 65 ft, encoders add a little
 CRUISE_FLOOR_M = 4572.0  # 15,000 ft: holds and vectoring below it are no cruise
@@ -168,6 +170,7 @@ FROZEN_RISE_M |= dict.fromkeys(("tat_k", "cc_in_k", "hx_in_k", "hx_out_k", "cc_o
 READING_SD = dict.fromkeys(("tat_k", "hx_in_k", "hx_out_k", "ram_out_k", "cc_in_k", "cc_out_k"), 0.35)
 READING_SD |= {"cc_in_pa": 90.0, "total_pressure_pa": 90.0, "cc_out_pa": 280.0, "ram_door_open": 0.005}
 READING_SD |= {"pack_flow_kg_s": 0.008, "cc_flow_kg_s": 0.012, "cc_speed_rad_s": 3.5, "vda_counts": 5.0}
+COARSE_FLOW_KG_S = 0.042  # step of a flow whose rounding, step / sqrt(12), exceeds the noise of a reading
 CHANCE_RUN = 1e-5  # chance of a run of equal readings at which it is none
 # least change with altitude [signal's unit / m], by which a coarser step hides more of a climb
 LEAST_GRADIENT = dict.fromkeys(("total_pressure_pa", "cc_in_pa"), 1.5)
@@ -228,6 +231,25 @@ def _step_of_packs(signal: str) -> pl.Expr:
 def reading_step(signal: str) -> pl.Expr:
     """Return the step of the recorder: the least difference of two readings in a group, of both packs together."""
     return pl.col(signal).unique().sort().diff().filter(pl.col(signal).unique().sort().diff() > 1e-9).min()
+
+
+def flow_steps(samples: pl.DataFrame) -> pl.DataFrame:
+    """Return how coarse a recorder's flows are: `FLIGHT`, `pack_flow_step_ln` and `cc_flow_step_ln`, of snapshots."""
+    snapshots = samples.filter(pl.col("source") == "acms")
+    signals = {"pack_flow_step_ln": "pack_flow_kg_s", "cc_flow_step_ln": "cc_flow_kg_s"}
+    return snapshots.group_by(FLIGHT).agg(_coarse_step_ln(signal).alias(name) for name, signal in signals.items())
+
+
+def _coarse_step_ln(flow: str) -> pl.Expr:
+    """Return the recorder's step over the median of the running packs' flow; 0 where noise exceeds its rounding. [-]
+
+    A coarse step repeats its readings; a few readings that lie far apart show none.
+    """
+    reading = pl.col(flow).drop_nulls()
+    step = reading_step(flow)
+    is_coarse = (step > COARSE_FLOW_KG_S) & (2 * reading.n_unique() < reading.len())
+    running = reading.filter(reading > RUNNING_KG_S).median()
+    return pl.when(is_coarse).then(step / running).fill_null(0.0)
 
 
 def run_of_chance(step: float, sd: float) -> float:

@@ -367,6 +367,7 @@ class LegsIndicators(LegTable):
     index_level = number("conductance index, median of the leg: 0.1 less is a loss of about 10 %")
     index_n = count("samples behind it", nullable=True)
     index_unrest = number("how far a few samples in a row leave the leg's median, in standard errors", low=0)
+    index_step = number("change of the index by one step of a coarse recorder's pack flow; 0 of a fine one", low=0)
     outlet_between_packs_k = number("exchanger outlet above the other pack's, while both doors can move", "K")
     outlet_above_law_k = number("exchanger outlet above the law the controllers hold", "K")
     inlet_minus_tat_k = number("compressor inlet above TAT", "K")
@@ -374,6 +375,7 @@ class LegsIndicators(LegTable):
     pack_over_compressor_flow_ln = number("ln of pack flow over compressor flow")
     pack_flow_between_packs_ln = number("ln of pack flow over the other pack's")
     pack_flow_ln = number("ln of pack flow in kg/s")
+    flow_step_ln = number("the recorder's step of pack or compressor flow over it; 0 where noise exceeds it", low=0)
 
 
 class LegsAdmitted(DatedLegTable):

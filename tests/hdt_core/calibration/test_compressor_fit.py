@@ -220,6 +220,15 @@ def one_aircraft(fleet) -> Points:
     return points_of(fleet.only("T-00").samples)
 
 
+def test_coarse_flow_weighs_less(one_aircraft):
+    """Its rounding, a twelfth of the step's square, adds to the noise of a point's flow."""
+    prior = np.zeros((2, len(hx.BIASES))), np.tile(hx.BIAS_SDS, (2, 1))
+    coarse = replace(one_aircraft, flow_step_ln=np.full(len(one_aircraft), 0.1))
+    fine_sd, coarse_sd = (exchanger_panel(points, *prior).noise_sd for points in (one_aircraft, coarse))
+    added = coarse_sd**2 - fine_sd**2
+    np.testing.assert_allclose(added, [[0.1**2 / 12.0, 0.0, 0.0, 0.0, 0.0, 0.0]] * len(added), rtol=1e-9, atol=1e-15)
+
+
 def test_pack_without_points_keeps_prior(one_aircraft):
     prior = np.full((3, 6), 0.01)
     sd = np.tile(hx.BIAS_SDS, (3, 1))

@@ -10,6 +10,7 @@ from hdt_core.calibration import exchanger as hx
 from hdt_core.calibration.baseline_wear import _clean_units, entry_posterior, fleet_levels
 from hdt_core.calibration.pooling import levels_of, pool
 from hdt_core.calibration.sensor_biases import exit_differences, probe_corrections, sensor_prior
+from hdt_core.records.keys import FLIGHT
 from hdt_core.tracking.wear_model import Observation, at_reference
 
 GRID = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4)
@@ -319,6 +320,15 @@ CALM = flights(21, ln_ua_ratio=0.0, ln_ua_ratio_sd=0.004, ua_expected_w_k=1900.0
 )
 def test_few_flights_keep_prior_scatter(n, scatter):
     assert fleet_levels(CALM.head(n), log(), DSM).flight_sd == pytest.approx(scatter, rel=1e-12)
+
+
+@pytest.mark.parametrize(("of_others", "scatter"), [(True, 0.005), (False, 1.4826 * 0.2 / np.sqrt(2.0))])
+def test_coarse_flights_show_no_scatter(of_others, scatter):
+    """Where flights of a fine flow show it."""
+    coarse = CALM.with_columns(tail=pl.lit("C"), ln_ua_ratio=0.1 * (-1.0) ** pl.int_range(pl.len()))
+    rows = pl.concat([CALM, coarse]) if of_others else coarse
+    flight_sd = fleet_levels(rows, log(), DSM, coarse.select(FLIGHT)).flight_sd
+    assert flight_sd == pytest.approx(scatter, rel=1e-3)
 
 
 def test_no_ratio_changes_no_level():

@@ -198,7 +198,8 @@ def verdicts(
     legs: pl.DataFrame = LEGS, health: pl.DataFrame | None = None, scatter: Scatter | None = None, **signs: list[object]
 ) -> pl.DataFrame:
     """Second-level verdicts on legs that show these signs."""
-    own = {"index_level": [0.0] * N, "index_n": [8] * N, "index_unrest": [0.0] * N} | signs
+    steps = {"index_step": [0.0] * N, "flow_step_ln": [0.0] * N}
+    own = {"index_level": [0.0] * N, "index_n": [8] * N, "index_unrest": [0.0] * N} | steps | signs
     indicators = legs.select(LEG).with_columns(pl.Series(k, v) for k, v in own.items())
     baseline = NominalBaseline(level=IndexLevel(clean=0.0, stray=0.0), scatter=scatter)
     return admit(baseline, legs, indicators, NO_LOG, NO_MESSAGE, health).sort("flight_id")
@@ -257,4 +258,13 @@ def test_few_samples_weaken_outlier(n, off_k, out):
     scatter = Scatter(("inlet_minus_tat_k_off",), (0.0,), ((25.0,),))
     few = pl.Series([n] * N, dtype=pl.Int64)
     result = verdicts(scatter=scatter, inlet_minus_tat_k=[0.0] * 29 + [off_k], index_n=few)
+    assert result["reason"].to_list() == [""] * 29 + (["OUTLIER"] if out else [""])
+
+
+@pytest.mark.parametrize(("step", "out"), [(0.0, True), (0.04, True), (0.06, False)])
+def test_step_of_flow_is_no_outlier(step, out):
+    """0.05 beyond a level that scatters by 0.002."""
+    check = "pack_over_compressor_flow_ln"
+    scatter = Scatter((f"{check}_off",), (0.0,), ((1.0 / 0.002**2,),))
+    result = verdicts(scatter=scatter, flow_step_ln=[step] * N, **{check: [0.0] * 29 + [0.05]})
     assert result["reason"].to_list() == [""] * 29 + (["OUTLIER"] if out else [""])

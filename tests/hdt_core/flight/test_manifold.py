@@ -38,7 +38,8 @@ def fly_legs(seed: int = 0) -> tuple[pl.DataFrame, pl.DataFrame]:
     y = y - wear + rng.standard_t(3, n) * 0.02
     out = (400.0 + np.exp(y) * s["tat_k"]) / (1.0 + np.exp(y))
     key = {"operator": "TST", "tail": "T", "flight_id": np.repeat([f"F{k:02d}" for k in range(FLIGHTS)], EACH)}
-    signals = key | {"pack": 1, "monitored": True, "hx_in_k": 400.0, "hx_out_k": out} | s
+    other = {"source": "acms", "cc_flow_kg_s": 0.8}
+    signals = key | {"pack": 1, "monitored": True, "hx_in_k": 400.0, "hx_out_k": out} | other | s
     samples = pl.DataFrame(signals).cast({"pack": pl.Int32})
     legs = samples.select(LEG).unique(maintain_order=True).with_columns(flight_number=pl.int_range(pl.len()))
     return samples, legs
@@ -145,13 +146,27 @@ def test_unrest_is_largest_running_mean():
     assert result["index_unrest"].to_list() == pytest.approx(unrest)
 
 
-def test_unrest_spans_nine_samples(monkeypatch):
+@pytest.fixture
+def nine_apart(monkeypatch) -> pl.DataFrame:
+    """A leg of which nine samples in a row lie 0.1 above the others, its flow 0.7 and 0.8 kg/s in turn."""
     index = np.zeros(40)
     index[20:29] = 0.1
-    rows = pl.DataFrame({"operator": "TST", "tail": "T", "flight_id": "F", "pack": 1, "conductance_index": index})
+    key = {"operator": "TST", "tail": "T", "flight_id": "F", "pack": 1, "source": "acms", "cc_flow_kg_s": 0.8}
     monkeypatch.setattr(conductance_index, "add_conductance_index", lambda samples, _: samples)
-    unrest = leg_conductance(rows, Manifold((), (), 0.02))["index_unrest"]
+    return pl.DataFrame(key | {"pack_flow_kg_s": [0.7, 0.8] * 20, "conductance_index": index})
+
+
+def test_unrest_spans_nine_samples(nine_apart):
+    unrest = leg_conductance(nine_apart, LAW)["index_unrest"]
     assert unrest.to_list() == pytest.approx([0.1 * 3.0 / 0.02])  # sqrt(9) = 3
+
+
+def test_step_of_flow_is_no_unrest(nine_apart):
+    """One step of 0.1 kg/s in 0.75 moves the index by 0.08, door at the law's centre."""
+    law = Manifold((0.0, -1.0, *[0.0] * 5), (-0.4, *[0.0] * 5, 0.2), 0.02)
+    leg = leg_conductance(nine_apart, law).row(0, named=True)
+    assert leg["index_step"] == pytest.approx(0.08)
+    assert leg["index_unrest"] == pytest.approx((0.1 - 0.08) * 3.0 / 0.02)
 
 
 N = 50
@@ -161,7 +176,9 @@ FLIGHT = np.arange(N)
 def levels(level: np.ndarray, unrest: float = 0.0) -> pl.DataFrame:
     flights = [f"F{k:02d}" for k in range(N)]
     key = {"operator": "TST", "tail": "T", "flight_id": flights, "pack": 1, "flight_number": FLIGHT}
-    rows = pl.DataFrame(key | {"index_level": level, "index_unrest": unrest, "index_n": 8}).cast({"pack": pl.Int32})
+    rows = pl.DataFrame(key | {"index_level": level, "index_unrest": unrest, "index_n": 8, "index_step": 0.0}).cast(
+        {"pack": pl.Int32}
+    )
     days = pl.duration(days=pl.col("flight_number"))
     return rows.with_columns(departed_at=pl.datetime(2024, 3, 1, time_zone="UTC") + days)
 
@@ -190,6 +207,13 @@ def test_clean_level_is_upper_decile(above, n_worn):
 def test_clean_level_is_near_fleets(level, worn):
     """No lower than the fleet's less two deviations."""
     assert judge_levels(np.full(N, level), IndexLevel(clean=1.0))["worn"].to_list() == [worn] * N
+
+
+@pytest.mark.parametrize(("off", "stray"), [(0.091, True), (0.089, False)])
+def test_rounding_of_flow_is_no_stray(off, stray):
+    """Half a step of 0.04 beyond the limit of 0.07."""
+    rows = levels(np.where(FLIGHT == 25, off, 0.0)).with_columns(index_step=pl.lit(0.04))
+    assert judge_conductance(rows, NO_LOG, UNKNOWN)["stray"].any() == stray
 
 
 @pytest.mark.parametrize(("unrest", "restless"), [(6.51, True), (6.5, False)])

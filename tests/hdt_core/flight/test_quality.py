@@ -8,7 +8,7 @@ import pytest
 from alter import alter
 from cruise import CRUISE
 
-from hdt_core.flight.samples import FROZEN_RISE_M, NOISY, SIGNALS, null_bad_values
+from hdt_core.flight.samples import FROZEN_RISE_M, NOISY, SIGNALS, flow_steps, null_bad_values
 
 BY = ("tail", "pack")
 NOISE = {
@@ -136,3 +136,21 @@ def test_frozen_air_reading_ignores_altitude(signal, beyond_m, n):
 def test_allowed_jump_is_no_spike(sign, beside):
     around = {59: beside[0], 60: 345.0 + sign, 61: beside[1]}
     assert read("hx_out_k", dict.fromkeys(range(55, 66), 345.0) | around)["n_spikes"][60] == 0
+
+
+FLOW = pl.col("pack_flow_kg_s")
+
+
+@pytest.mark.parametrize(("step", "is_coarse"), [(0.038, False), (0.076, True)])
+def test_coarse_flow_shows_its_step(step, is_coarse):
+    """Rounding by 5 lb/min is less than the noise of a reading, by 10 more; one pack takes more air."""
+    flow = FLOW + 0.1 * pl.col("pack")
+    rows = make_record().with_columns((flow / step).round() * step, operator=pl.lit("O"), flight_id=pl.lit("F"))
+    shown = flow_steps(rows.with_columns(source=pl.lit("acms")))["pack_flow_step_ln"].item()
+    assert shown == pytest.approx(step / rows["pack_flow_kg_s"].median() if is_coarse else 0.0)
+
+
+def test_few_readings_show_no_step():
+    """Five, far apart."""
+    rows = make_record().head(5).with_columns(FLOW + 0.1 * pl.int_range(5), operator=pl.lit("O"), flight_id=pl.lit("F"))
+    assert flow_steps(rows.with_columns(source=pl.lit("acms")))["pack_flow_step_ln"].to_list() == [0.0]
