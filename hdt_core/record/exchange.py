@@ -27,8 +27,8 @@ BETWEEN_PACKS = {
     "cc_out_between_packs_pa": "cc_out_pa",
 }
 """Signals that distinguish two packs, by the column of pack 1's mean above pack 2's."""
-BEFORE, LEAST_BEFORE = 20, 8
-"""Flights that show how the packs differ, at most and at least."""
+MOST_FLIGHTS, LEAST_FLIGHTS = 20, 8
+"""Flights on one side of another that show how an aircraft's packs differ, at most and at least."""
 AFTER = 5
 """Flights after the change that must show it: less than two days."""
 CLEAR = 0.8
@@ -84,7 +84,7 @@ def _find_changes(flights: pl.DataFrame) -> Array:
 def _before_and_after(flights: pl.DataFrame) -> tuple[Array, Array]:
     """Return how the packs typically differ before each flight and from it on."""
     names = list(BETWEEN_PACKS)
-    earlier = pl.col(names).rolling_median(BEFORE, min_samples=LEAST_BEFORE).shift().over(AIRCRAFT)
+    earlier = pl.col(names).rolling_median(MOST_FLIGHTS, min_samples=LEAST_FLIGHTS).shift().over(AIRCRAFT)
     later = pl.col(names).reverse().rolling_median(AFTER, min_samples=AFTER).reverse().over(AIRCRAFT)
     return flights.select(earlier).to_numpy(), flights.select(later).to_numpy()
 

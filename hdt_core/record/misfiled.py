@@ -10,13 +10,11 @@ from typing import Literal
 
 import polars as pl
 
-from hdt_core.record.exchange import BETWEEN_PACKS, EXCHANGED, flight_to_flight_sd
+from hdt_core.record.exchange import BETWEEN_PACKS, EXCHANGED, LEAST_FLIGHTS, MOST_FLIGHTS, flight_to_flight_sd
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 
 MISFILED = "misfiled"
 """Reason of flights that look like another aircraft's."""
-MOST_FLIGHTS, LEAST_FLIGHTS = 20, 8
-"""Flights before or after that show how an aircraft's packs differ, at most and at least."""
 LEAST_SIGNALS = 6
 """Fewest signals of `BETWEEN_PACKS` by which a flight is compared."""
 MOST_SDS = 4.0
