@@ -1,7 +1,8 @@
 """Judge the maintenance log by what the flights show: which work recovered a loss, when, and at which position.
 
-A log is written by people. It may be days late, list one piece of work twice or for the other position, or list work
-that was not done. The loss of a part settles most of it, for it falls on the flight after the work and on no other.
+A log is written by people. It may be days late, dated by the local day before, list one piece of work twice or for the
+other position, or list work that was not done. The loss of a part settles most of it, for it falls on the flight after
+the work and on no other. An entry that counts before a message after which the loss fell is of work after the message.
 An engineer who closes an alert names its position by that, so such an entry stays there.
 Where the loss is too small to show the work either way, the log's word counts.
 
@@ -31,8 +32,10 @@ RECOVERY_FLIGHTS = 10
 flights do not show counts as not done."""
 LATE_DAYS = 30.0
 """Days within which work is logged, or logged again: ten for a deferred repair [1], extended once, and ten more."""
-LOGGED, LATE, ELSEWHERE, REPEATED, NOT_SEEN = VERDICTS = ("logged", "late", "elsewhere", "repeated", "not_seen")
-IN_FORCE = (LOGGED, LATE, ELSEWHERE)
+LOGGED, EARLY, LATE, ELSEWHERE, REPEATED, NOT_SEEN = ("logged", "early", "late", "elsewhere", "repeated", "not_seen")
+MOVED = (EARLY, LATE, ELSEWHERE)
+"""Verdicts on work that counts from where the flights show it."""
+IN_FORCE = (LOGGED, *MOVED)
 JUDGED: dict[str, Any] = {
     "verdict": pl.String, "in_force": pl.Boolean, "position": pl.Int32, "flown_from": pl.Datetime("us", "UTC"),
     "known_from": pl.Datetime("us", "UTC"), "known_until": pl.Datetime("us", "UTC"), "is_shown": pl.Boolean,
@@ -100,6 +103,10 @@ class _Position:
         last = known_rows[-1]
         return float(self.loss[last]), float(self.loss_sd[last])
 
+    def is_reported_between(self, begin: datetime, end: datetime) -> bool:
+        """Whether a message came from one moment to another."""
+        return any(begin <= moment < end for moment in self.messages)
+
     def is_worn(self, row: int) -> bool:
         """Whether a renewal before a flight would show: the loss before it is as large as a recovery."""
         loss, sd = self.known_before(row)
@@ -137,7 +144,7 @@ class _Entry:
         place = self.moved_to or self.position
         flown_from = self.counts_from
         known_from: datetime | None = self.counts_from
-        if self.recovery is not None and self.verdict in (LATE, ELSEWHERE):
+        if self.recovery is not None and self.verdict in MOVED:
             flown_from = place.departed_at[self.recovery]
             settled_at = place.settled_at(self.recovery)
             known_from = None if settled_at is None else max(settled_at, self.counts_from)
@@ -211,6 +218,8 @@ def _judge_aircraft(rows: pl.DataFrame, positions: dict[int, _Position]) -> list
     entries = [_Entry(i, positions[p], *more) for i, p, *more in fields if p in positions]
     for entry in entries:
         _explain(entry, entry.position, [r for r in entry.position.unexplained if _is_on_time(r, entry.row)], LOGGED)
+        if _is_early(entry):
+            entry.verdict = EARLY
     for entry in (e for e in entries if e.recovery is None):
         late = [r for r in entry.position.unexplained if _is_late(entry, entry.position, r)]
         _explain(entry, entry.position, late[-1:], LATE)
@@ -242,6 +251,14 @@ def _is_on_time(recovery: int, row: int) -> bool:
     return abs(recovery - row) <= RECOVERY_FLIGHTS
 
 
+def _is_early(entry: _Entry) -> bool:
+    """Whether a message came after the entry's moment and before the recovery that it explains."""
+    if entry.recovery is None:
+        return False
+    recovered_at = entry.position.departed_at[entry.recovery]
+    return entry.position.is_reported_between(entry.counts_from, recovered_at)
+
+
 def _is_late(entry: _Entry, place: _Position, recovery: int) -> bool:
     """Whether a recovery lies up to `LATE_DAYS` before the entry, or no later than a log that is on time."""
     delay = entry.counts_from - place.departed_at[recovery]
@@ -257,7 +274,7 @@ def _is_repeated(entry: _Entry, entries: Iterable[_Entry]) -> bool:
         if (e.moved_to or e.position) is entry.position
         and (e.counts_from, e.index) < (entry.counts_from, entry.index)
         and entry.counts_from - e.counts_from <= timedelta(LATE_DAYS)
-        and not any(e.counts_from <= moment < entry.counts_from for moment in entry.position.messages)
+        and not entry.position.is_reported_between(e.counts_from, entry.counts_from)
     ]
     loss, _ = entry.position.known_before(entry.row)
     is_clean = np.isfinite(loss) and not entry.position.is_worn(entry.row)
@@ -281,9 +298,9 @@ def as_known(judged: pl.DataFrame) -> pl.DataFrame:
         The log's columns with `pack` where it counted, `flown_from`, and `counts_from` and `until`, the moments.
     """
     standing_work = judged.filter(pl.col("verdict") != REPEATED).with_columns(until="known_until")
-    work_elsewhere = standing_work.filter(verdict=ELSEWHERE)
-    # until it was known to be of another position, it counted where it is logged
-    as_logged = work_elsewhere.with_columns(until="known_from", flown_from="counts_from")
+    moved_work = standing_work.filter(pl.col("verdict").is_in([EARLY, ELSEWHERE]))
+    # until it was known to be later or of another position, it counted when and where it is logged
+    as_logged = moved_work.with_columns(until="known_from", flown_from="counts_from")
     as_logged = as_logged.filter(pl.col("until").is_null() | (pl.col("until") > pl.col("counts_from")))
     settled = standing_work.with_columns(pack="position", counts_from="known_from").drop_nulls("counts_from")
     columns = [c for c in judged.columns if c not in JUDGED]

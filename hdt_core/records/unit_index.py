@@ -4,7 +4,7 @@ A flight flies with a new (or repaired) part if it departs at or after the momen
 maintenance log counts. An entry with a time of day counts from that time. An entry with a day alone counts from the end
 of that day (24:00 UTC), so that the flights of the day itself still belong to the part that came off.
 
-A log is never early but may be some flights late. Counted from its end, the day never gives a flight of the old part to
+A log is seldom early but may be some flights late. Counted from its end, the day gives no flight of the old part to
 the new one, whose clean level, trend and age would be wrong for all of its life; the price is a few flights of the new
 part at the end of a life that is over. See `docs/calibration.md` for how often either happens.
 """

@@ -220,7 +220,8 @@ class FeaturesWork(RawMaintenance):
     """One piece of work that renews a unit or lowers its loss, judged by the flights around it."""
 
     verdict = text(
-        "logged (as the log has it), late (logged after the flights show it), elsewhere (done at the other position), "
+        "logged (as the log has it), early (dated before the message after which the flights show it), late (logged "
+        "after the flights show it), elsewhere (done at the other position), "
         "repeated (listed before) or not_seen (ten flights since do not show it)",
         nullable=False,
     )

@@ -43,9 +43,10 @@ select
     coalesce(w.position, m.pack) as position,
     w.is_shown,
     coalesce(w.flown_from, m.counts_from) as flown_from,
-    case when w.verdict in ('late', 'elsewhere') then 'recovery' when m.is_done then 'log' end as matched_by,
+    case when w.verdict in ('early', 'late', 'elsewhere') then 'recovery' when m.is_done then 'log' end as matched_by,
     case
         when not m.is_done then 'not done: ' || m.status
+        when w.verdict = 'early' then 'dated before its message; the flights show it after'
         when w.verdict = 'late'
             then
                 'logged ' || date_diff('day', (w.flown_from at time zone 'UTC')::date, m.done_on)

@@ -113,6 +113,18 @@ def test_second_entry_needs_a_message(messages, verdict):
     assert verdicts["verdict"].to_list() == ["logged", verdict]
 
 
+@pytest.mark.parametrize(
+    ("message", "verdict", "from_flight"), [(-1, "early", 0), (-5, "logged", -4), (0, "logged", -4)]
+)
+def test_message_after_entry_dates_work(message, verdict, from_flight):
+    """An entry four flights before a recovery: of a message in between the work is the answer."""
+    entry = log((1, RENEWED - 4))
+
+    work = judge(fly(WORN), entry, messages_after(RENEWED + message))
+
+    assert work.select("verdict", "flown_from").row(0) == (verdict, departure(RENEWED + from_flight))
+
+
 def test_settled_log_corrects_its_entry():
     settled = settle(judge(fly(WORN, CLEAN), log((2, RENEWED + 30))))
 
@@ -140,6 +152,16 @@ def test_units_follow_contemporary_record(loss, entry, units):
     numbers = units_as_known(flights, judge(flights, log((1, entry))))
 
     assert numbers.select("known_row", "first_row").rows() == units
+
+
+def test_early_entry_counts_as_logged_at_first():
+    flights = fly(WORN)
+    entry = log((1, RENEWED - 4))
+
+    numbers = units_as_known(flights, judge(flights, entry, messages_after(RENEWED - 1)))
+
+    logged, settled = (RENEWED - 4, RENEWED - 4), (RENEWED + 10, RENEWED)
+    assert numbers.select("known_row", "first_row").rows() == [(0, 0), logged, settled]
 
 
 @pytest.mark.parametrize("loss", [WORN, np.full(FLIGHTS, 0.3)], ids=["late", "not done"])
