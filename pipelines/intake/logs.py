@@ -4,6 +4,7 @@ Each line is validated by itself and stored once.
 """
 
 import re
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
@@ -191,6 +192,8 @@ OWN_CODES = frozenset(part.message_code for part in components().values())
 STATUS = "status"
 DONE = ("", "COMPLETED", "CLOSED", "DONE")
 """Statuses of a line of the maintenance log whose work was done; any other is of work that is planned or cancelled."""
+NOT_DONE = ("CANCELLED", "CANCELED", "OPEN", "DEFERRED", "PLANNED", "SCHEDULED", "PENDING")
+"""Statuses that are known to be of such work; another gets a note."""
 FARTHEST = timedelta(days=3660)
 
 
@@ -233,6 +236,7 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     early = list[date]()
     later = list[datetime]()
     no_pack = list[date]()
+    unknown_status = defaultdict[str, list[date]](list)
 
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
         day = moment.date() if moment else to_day(words["done_on"])
@@ -251,6 +255,8 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
         if odd := [c for c, code in codes.items() if code not in codes_agreed[c]]:
             return Fault("bad_code", column_name=", ".join(odd))
         no_pack.extend([day] if day and pack is None and codes["component"] in components() else [])
+        if day and status not in DONE + NOT_DONE:
+            unknown_status[status].append(day)
         finding = codes["finding"] or None
         reference = words["reference"] or None
         serials = (words[name] or None for name in SERIALS)
@@ -262,7 +268,10 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     log = _read_log(file, no_work, lambda content: parse_list(content, contract, validate, "done_on"))
     log = replace(log, due_at=min(later, default=None))
     notes = _note_on("before_delivery", "done_on", f"Delivered on {delivered_on}; work of", early)
-    return _with_notes(file, log, [*notes, *_note_on("no_pack", "pack", "Work of", no_pack)])
+    notes += _note_on("no_pack", "pack", "Work of", no_pack)
+    for status, days in sorted(unknown_status.items()):
+        notes += _note_on("unknown_status", STATUS, f"{status}: work of", days)
+    return _with_notes(file, log, notes)
 
 
 def _note_on(reason: str, column: str, what: str, days: Collection[date]) -> list[Fault]:

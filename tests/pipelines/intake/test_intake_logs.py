@@ -55,6 +55,7 @@ LOGS = [
     ("messages", MESSAGE + '2024-05-02T18:51:18Z,,1,21-52-HXTEMP,"HOT\n', "bad_quoting"),
     ("maintenance", WORK + "2024-05-03,1.0,HX,REPLACED,,\n", None),
     ("maintenance", WORK.strip() + ",status\n2025-05-03,1,HX,REPLACED,,,PLANNED\n", None),
+    ("maintenance", WORK.strip() + ",status\n2025-05-03,1,HX,REPLACED,,,COMPLETE\n", "unknown_status"),
     ("maintenance", WORK.strip() + ",status\n2061-05-03,1,HX,REPLACED,,,DONE\n", "future_time"),
     ("fleet", AIRCRAFT + "AQX,../etc,40000,2014-06-01,2\n", "bad_key"),
     ("fleet", AIRCRAFT + "AQX,LX-AAA,1,2014-06-01,2\nAQX,LX-AAA,1,2015-06-01,2\n", "bad_key"),
