@@ -9,7 +9,7 @@ import polars as pl
 from hdt_core.alerts.cases import REPAIR, Case, Grid, Limits, open_flights, runs
 from hdt_core.alerts.fault_isolation import CHANNELS, HX_STEP, Indications
 from hdt_core.flight.control_schedules import DOOR_FREE
-from hdt_core.flight.samples import SHARED_SENSORS
+from hdt_core.flight.quality import SHARED_SENSORS
 from hdt_core.health.detection import Cusum, persistent, watch
 from hdt_core.records.keys import PACK
 from hdt_core.robust import Array

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hdt_core.alerts.cases import Grid
-from hdt_core.flight.samples import SHARED_SENSORS
+from hdt_core.flight.quality import SHARED_SENSORS
 from hdt_core.health.detection import Shift
 from hdt_core.robust import Array
 

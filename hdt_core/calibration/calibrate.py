@@ -31,7 +31,7 @@ from hdt_core.components.pack import PARTS, Parts
 from hdt_core.estimation import Estimate
 from hdt_core.estimation.panel import Panel, PanelLeastSquares
 from hdt_core.flight.legs import baseline_flights
-from hdt_core.flight.samples import flow_steps
+from hdt_core.flight.quality import flow_steps
 from hdt_core.physics.heat_exchanger import REFERENCE_HOT_FLOW_KG_S, REFERENCE_RAM_FLOW_KG_S
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s
 from hdt_core.physics.terms import within

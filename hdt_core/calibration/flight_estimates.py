@@ -19,7 +19,7 @@ from hdt_core.components.pack import PARTS, Parts
 from hdt_core.estimation.batch import Batch
 from hdt_core.estimation.descent import gauss_newton
 from hdt_core.estimation.problem import unknown
-from hdt_core.flight.samples import RUNNING_KG_S, flow_steps
+from hdt_core.flight.quality import RUNNING_KG_S, flow_steps
 from hdt_core.physics.installed_exchanger import clean_ram_flow_kg_s, ln_clean_conductance, with_static_pressure
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT, FLIGHT_PACK, IN_ORDER

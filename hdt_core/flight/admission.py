@@ -23,7 +23,7 @@ from hdt_core.flight.conductance_index import (
 from hdt_core.flight.control_schedules import ControlSchedule, learn_outlet_schedule
 from hdt_core.flight.cross_checks import LEG_CHECKS, TWIN_CHECKS, check_sensors, leg_checks
 from hdt_core.flight.legs import BLEED, ODD_BLEED, flag_windows, number_flights
-from hdt_core.flight.samples import flow_steps
+from hdt_core.flight.quality import flow_steps
 from hdt_core.loading import with_tuples
 from hdt_core.records.keys import FLIGHT, LEG, of_each_aircraft
 from hdt_core.robust import Z_90

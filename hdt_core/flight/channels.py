@@ -9,7 +9,8 @@ from math import lgamma, log, pi, sqrt
 import numpy as np
 import polars as pl
 
-from hdt_core.flight.samples import LIMITS, READING_SD, RUNNING_KG_S, SIGNALS, seconds_between
+from hdt_core.flight.phases import seconds_between
+from hdt_core.flight.quality import LIMITS, READING_SD, RUNNING_KG_S, SIGNALS
 from hdt_core.records.keys import FLIGHT, LEG
 from hdt_core.robust import Array
 

@@ -4,7 +4,7 @@ import polars as pl
 
 from hdt_core.components import Component
 from hdt_core.flight.legs import BLEED, ODD_BLEED
-from hdt_core.flight.samples import drift_free
+from hdt_core.flight.steady import drift_free
 from hdt_core.records.keys import LEG
 
 MIN_SAMPLES = 5

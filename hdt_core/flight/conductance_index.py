@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.flight.cross_checks import SMOOTHED_FLIGHTS
-from hdt_core.flight.samples import flow_steps
+from hdt_core.flight.quality import flow_steps
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT, LEG, PACK
 from hdt_core.records.unit_index import number_units

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from hdt_core.flight.samples import RUNNING_KG_S
+from hdt_core.flight.quality import RUNNING_KG_S
 from hdt_core.loading import with_tuples
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG, PACK

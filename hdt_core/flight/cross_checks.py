@@ -6,7 +6,7 @@ The exchanger's wear shifts none of them, and only the twin's checks need a mode
 import polars as pl
 
 from hdt_core.flight.control_schedules import ControlSchedule, has_authority
-from hdt_core.flight.samples import RUNNING_KG_S
+from hdt_core.flight.quality import RUNNING_KG_S
 from hdt_core.records.keys import FLIGHT, LEG, PACK, join_other_pack
 from hdt_core.robust import MEDIAN_SD, spread_expr
 

@@ -12,19 +12,9 @@ from hdt_core.flight.channels import (
     lost_share,
     null_channels,
 )
-from hdt_core.flight.samples import (
-    CRUISE_FLOOR_M,
-    RUNNING_KG_S,
-    SIGNALS,
-    add_phases,
-    average_log,
-    null_bad_values,
-    number_legs,
-    reading_step,
-    seconds_between,
-    steady_snapshots,
-    thin_log,
-)
+from hdt_core.flight.phases import CRUISE_FLOOR_M, add_phases, number_legs, seconds_between
+from hdt_core.flight.quality import RUNNING_KG_S, SIGNALS, null_bad_values, reading_step
+from hdt_core.flight.steady import average_log, steady_snapshots, thin_log
 from hdt_core.records.keys import AIRCRAFT, FLIGHT, LEG, PACK, is_among
 
 RECORD_KEY = (*LEG, "source")

@@ -11,7 +11,7 @@ from hdt_core.calibration.arrays import departure
 from hdt_core.flight.channels import NO_CHANNELS, ONE_CHANNEL, count_gaps, lost_share
 from hdt_core.flight.control_schedules import FULL_OPEN, ControlSchedules, has_authority, learn_schedules
 from hdt_core.flight.cross_checks import ln_ratio
-from hdt_core.flight.samples import RUNNING_KG_S, SHARED_SENSORS, reading_step
+from hdt_core.flight.quality import RUNNING_KG_S, SHARED_SENSORS, reading_step
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import FLIGHT, LEG, join_other_pack
 from hdt_core.tables.base import finite

@@ -15,7 +15,7 @@ from hdt_core.calibration.arrays import flights_of
 from hdt_core.calibration.dsm import Dsm
 from hdt_core.calibration.inlet_law import full_open_inlet_k
 from hdt_core.flight.control_schedules import FULL_OPEN, ControlSchedules, has_authority
-from hdt_core.flight.samples import RUNNING_KG_S
+from hdt_core.flight.quality import RUNNING_KG_S
 from hdt_core.margin.compressor_demand import compressor_demand
 from hdt_core.physics.air import hot_day_tat_k, reference_air
 from hdt_core.physics.heat_exchanger import outlets_k

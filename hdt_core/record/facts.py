@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import polars as pl
 
-from hdt_core.flight.samples import CRUISE_FLOOR_M
+from hdt_core.flight.phases import CRUISE_FLOOR_M
 from hdt_core.record.exchange import BETWEEN_PACKS, between_packs
 from hdt_core.record.two_sources import contradicted_logs, without_logs
 from hdt_core.records.keys import FLIGHT

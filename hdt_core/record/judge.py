@@ -8,7 +8,7 @@ from datetime import datetime
 
 import polars as pl
 
-from hdt_core.flight.samples import CRUISE_FLOOR_M
+from hdt_core.flight.phases import CRUISE_FLOOR_M
 from hdt_core.record.exchange import EXCHANGED, exchanged_packs
 from hdt_core.record.facts import AIRBORNE_MACH, SILENCE_S
 from hdt_core.record.misfiled import misfiled

@@ -13,7 +13,7 @@ from benchmarks.real.hydraulic import COOLER
 from hdt_core.calibration.component_fit import calibrate_component, flight_by_flight
 from hdt_core.components import Component, Limit
 from hdt_core.flight.admission import learn_scatter
-from hdt_core.flight.samples import drift_free
+from hdt_core.flight.steady import drift_free
 from hdt_core.health.features import features
 from hdt_core.health.residuals import component_residuals
 from hdt_core.tracking.component import DesignOffset, track_component

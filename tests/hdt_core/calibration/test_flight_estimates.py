@@ -21,8 +21,8 @@ from hdt_core.calibration.arrays import (
 from hdt_core.calibration.calibrate import calibrate
 from hdt_core.calibration.compressor import compressor_flights, compressor_samples
 from hdt_core.calibration.flight_estimates import _locate, estimate_flights
-from hdt_core.flight import samples
-from hdt_core.flight.samples import flow_steps
+from hdt_core.flight import quality
+from hdt_core.flight.quality import flow_steps
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.records.keys import PACK
 from hdt_core.tables.twin import TwinFlights, TwinHealth
@@ -71,7 +71,7 @@ def test_rounding_of_flow_widens_estimate(two_flights, monkeypatch):
     coarse = two_flights.with_columns((flow / step).round() * step)
     flight = estimate_flights(coarse, DSM).row(0, named=True)
     step_ln = flow_steps(coarse).filter(flight_id=flight["flight_id"])["pack_flow_step_ln"].item()
-    monkeypatch.setattr(samples, "COARSE_FLOW_KG_S", 1.0)
+    monkeypatch.setattr(quality, "COARSE_FLOW_KG_S", 1.0)
     random_sd = estimate_flights(coarse, DSM).row(0, named=True)["ln_ua_ratio_sd"]
     rounding_sd = flight["ratio_per_ln_flow"] * step_ln / np.sqrt(12.0)
     assert rounding_sd > 0.02

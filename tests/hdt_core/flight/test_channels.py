@@ -10,7 +10,7 @@ from cruise import CRUISE
 
 from hdt_core.flight.channels import OWN_SIGNALS, find_channels, regular_gaps
 from hdt_core.flight.legs import judge_legs
-from hdt_core.flight.samples import READING_SD
+from hdt_core.flight.quality import READING_SD
 from hdt_core.tables.raw import RawSnapshots
 
 LB_MIN = 0.45359237 / 60.0

@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from hdt_core.flight.samples import add_phases
+from hdt_core.flight.phases import add_phases
 
 A320 = Path(__file__).parents[2] / "data" / "flight_a320" / "altitude_1hz.parquet"
 TOP_OF_CLIMB_S = 1799

@@ -8,7 +8,7 @@ import pytest
 from alter import alter
 from cruise import CRUISE
 
-from hdt_core.flight.samples import FROZEN_RISE_M, NOISY, SIGNALS, flow_steps, null_bad_values
+from hdt_core.flight.quality import FROZEN_RISE_M, NOISY, SIGNALS, flow_steps, null_bad_values
 
 BY = ("tail", "pack")
 NOISE = {

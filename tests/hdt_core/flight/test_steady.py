@@ -10,7 +10,8 @@ import pytest
 from hdt_core.components import components
 from hdt_core.flight.component_legs import component_legs, component_samples
 from hdt_core.flight.legs import AROUND_MAINTENANCE, AROUND_MESSAGE, baseline_flights, flag_windows, number_flights
-from hdt_core.flight.samples import DRIVERS, SIGNALS, average_log, drift_free, steady_snapshots
+from hdt_core.flight.quality import SIGNALS
+from hdt_core.flight.steady import DRIVERS, average_log, drift_free, steady_snapshots
 
 
 def log(drift: dict[str, float], seed: int = 4) -> pl.DataFrame:
