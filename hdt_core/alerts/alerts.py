@@ -19,7 +19,7 @@ from hdt_core.alerts.text import Figures, Text, TextList, to_json
 from hdt_core.alerts.wear import cc_cases, hx_cases, low_margin_cases
 from hdt_core.records.keys import PACK
 from hdt_core.records.unit_index import NEW_UNIT, select_entries
-from hdt_core.tables.features import FeaturesAlerts
+from hdt_core.tables.alerts import FeaturesAlerts
 
 REPEAT_DAYS = 90
 """Days within which units of one position are counted."""

@@ -16,7 +16,7 @@ from hdt_core.alerts.wear import odds_above
 from hdt_core.components import Component
 from hdt_core.health.detection import persistent
 from hdt_core.health.features import features
-from hdt_core.tables.features import FeaturesAlerts
+from hdt_core.tables.alerts import FeaturesAlerts
 from hdt_core.tables.twin import FeaturesComponents
 
 UNIT_LOST = Phrase(

@@ -16,7 +16,7 @@ from hdt_core.physics.air import HIGH_CRUISE_M, hot_day_tat_k, reference_air
 from hdt_core.physics.compressor import area_diameter_tan_beta_m3, effective_diameter_m, inlet_flow_kg_s
 from hdt_core.physics.model import Array
 from hdt_core.records.keys import FLIGHT_PACK, PACK
-from hdt_core.tables.features import CompressorDemand, FeaturesMargin
+from hdt_core.tables.demand import CompressorDemand, FeaturesMargin
 
 FLOWS = np.array([0.6, 0.8, 1.0, 1.2, 1.5])
 """Shares of the demanded flow at which critical diameters are stored; others are interpolated. [-]"""

@@ -187,10 +187,10 @@ def judge_work(
     is_own = (pl.col("component") == component) & pl.col("action").is_in(actions) & pl.col("pack").is_not_null()
     entries = date_entries(maintenance).filter(is_own & pl.col("counts_from").is_not_null()).with_row_index("index")
     is_of_case = pl.col("source") == CASE if "source" in entries.columns else pl.lit(False)
-    judged_entries = entries.with_columns(is_of_case=is_of_case.fill_null(False))
+    marked_entries = entries.with_columns(is_of_case=is_of_case.fill_null(False))
     flights = losses.join(entries.select(AIRCRAFT).unique(), on=AIRCRAFT, how="semi").sort(*PACK, "departed_at")
     judgements: list[dict[str, object]] = []
-    own_entries = judged_entries.partition_by(AIRCRAFT, as_dict=True)
+    own_entries = marked_entries.partition_by(AIRCRAFT, as_dict=True)
     for aircraft, own_flights in flights.partition_by(AIRCRAFT, as_dict=True).items():
         positions = {p.pack: p for p in _positions(own_flights)}
         for _, _, pack, moment in (

@@ -8,7 +8,7 @@ from typing import Literal
 
 import polars as pl
 
-from hdt_core.tables import features, prognosis, raw, twin
+from hdt_core.tables import alerts, demand, features, prognosis, raw, twin
 from hdt_core.tables.base import Table
 
 _MONTH = pl.concat_str(pl.col("flight_id").str.slice(-11, 4), pl.lit("-"), pl.col("flight_id").str.slice(-7, 2))
@@ -106,10 +106,10 @@ TABLES: dict[str, StoredTable] = {
     ),
     "residuals": StoredTable(twin.Residuals, "flight", ("flight_id", "pack", "signal", "kind"), "month"),
     "features_cross_checks": StoredTable(features.FeaturesCrossChecks, "flight", _FLIGHT_PACK, "month"),
-    "features_margin": StoredTable(features.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
+    "features_margin": StoredTable(demand.FeaturesMargin, "flight", _FLIGHT_PACK, "month"),
     "features": StoredTable(features.Features, "aircraft", ("departed_at", "flight_id", "pack")),
     "features_work": StoredTable(raw.FeaturesWork, "aircraft", ("done_on", "pack", "component", "reference")),
-    "features_alerts": StoredTable(features.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
+    "features_alerts": StoredTable(alerts.FeaturesAlerts, "aircraft", ("raised_at", "alert_id")),
     "prognosis_base": StoredTable(prognosis.PrognosisBase, "fleet", ("model_version",), whole=True),
     "prognosis_model": StoredTable(prognosis.PrognosisModel, "fleet", ("month",), whole=True),
     "prognoses": StoredTable(prognosis.Prognoses, "fleet", ("operator", "tail", "flight_id", "pack", "component")),

@@ -1,4 +1,4 @@
-"""Tables of stage features: features and alerts.
+"""The table of features and its parts.
 
 A feature that follows from others of its flight, or of those before it, has its value in its declaration.
 """
@@ -7,7 +7,7 @@ import dataframely as dy
 import polars as pl
 
 from hdt_core.records.keys import FLIGHT, PACK
-from hdt_core.tables.base import DatedLegTable, Table, column, count, flag, moment, number, operator_key, pack_key, text
+from hdt_core.tables.base import DatedLegTable, Table, column, flag, number, text
 
 
 def feature(meaning: str, unit: str = "-", value: pl.Expr | None = None) -> dy.Float64:
@@ -344,105 +344,3 @@ class Features(
 
 HEALTH = tuple(name.removesuffix("_status") for name in _Health.columns() if name.endswith("_status"))
 """Health parameters of the pack's parts."""
-
-
-_IS_AT = "ln conductance ratio at which the outlet, door full open, is"
-_DELIVERS = "ln of the least diameter over equation (6)'s that delivers"
-_HARD = "of the flow asked in a fifth of the cruise, at the highest speed"
-_HOT = "of the flow asked in its middle, were it hot and high, at the highest speed"
-
-
-class _ExchangerDemand(Table):
-    """Demand of a flight on the exchanger, independent of its wear."""
-
-    high_n = count("samples above 15,000 ft behind it")
-    held_k = number("level the controller holds the hot outlet at, median of the high samples", "K")
-    held_status = text("flight, pack or unknown: whose level that is", nullable=False)
-    full_open_share = number("share of the high samples with the ram door full open", "-", 0, 1)
-    overheat_p20_k = number("hottest fifth of the high samples: outlet above its level, door full open", "K", 0)
-    overheat_p50_k = number("hotter half of the high samples: outlet above its level, door full open", "K", 0)
-    hx_margin_design_k = number("margin of a clean pack at the reference cruise", "K")
-    hx_margin_target_k = number("what the flight's own target adds to it", "K")
-    hx_margin_flow_k = number("what the flight's flow and inlet temperature add", "K")
-    hx_margin_ambient_k = number("what the air outside adds", "K")
-    hx_margin_blockage_k = number("what a blocked ram side adds; null without a ram outlet probe", "K")
-    critical_ln_ratio_p20_minus_20k = number(f"{_IS_AT} 20 K below its level in a fifth of the high samples")
-    critical_ln_ratio_p20_minus_10k = number(f"{_IS_AT} 10 K below its level in a fifth of the high samples")
-    critical_ln_ratio_p20_0k = number(f"{_IS_AT} at its level in a fifth of the high samples")
-    critical_ln_ratio_p20_5k = number(f"{_IS_AT} 5 K above its level in a fifth of the high samples")
-    critical_ln_ratio_p20_10k = number(f"{_IS_AT} 10 K above its level in a fifth of the high samples")
-    critical_ln_ratio_p50_minus_20k = number(f"{_IS_AT} 20 K below its level in half of them")
-    critical_ln_ratio_p50_minus_10k = number(f"{_IS_AT} 10 K below its level in half of them")
-    critical_ln_ratio_p50_0k = number(f"{_IS_AT} at its level in half of them")
-    critical_ln_ratio_p50_5k = number(f"{_IS_AT} 5 K above its level in half of them")
-    critical_ln_ratio_p50_10k = number(f"{_IS_AT} 10 K above its level in half of them")
-    critical_ln_ratio_hot_day_minus_20k = number(f"{_IS_AT} 20 K below its level on the standard's hot day")
-    critical_ln_ratio_hot_day_minus_10k = number(f"{_IS_AT} 10 K below its level on the standard's hot day")
-    critical_ln_ratio_hot_day_0k = number(f"{_IS_AT} at its level on the standard's hot day")
-    critical_ln_ratio_hot_day_5k = number(f"{_IS_AT} 5 K above its level on the standard's hot day")
-    critical_ln_ratio_hot_day_10k = number(f"{_IS_AT} 10 K above its level on the standard's hot day")
-
-
-class CompressorDemand(Table):
-    """Demand of a flight on the compressor, independent of its wear."""
-
-    cc_flow_asked_kg_s = number("flow asked of the compressor, by speed and diffuser, median in cruise", "kg/s")
-    cc_speed_limit_met = flag("the compressors' highest speed is known to be their limit", nullable=True)
-    critical_ln_diameter_p20_60pct = number(f"{_DELIVERS} 60 % {_HARD}")
-    critical_ln_diameter_p20_80pct = number(f"{_DELIVERS} 80 % {_HARD}")
-    critical_ln_diameter_p20_100pct = number(f"{_DELIVERS} 100 % {_HARD}")
-    critical_ln_diameter_p20_120pct = number(f"{_DELIVERS} 120 % {_HARD}")
-    critical_ln_diameter_p20_150pct = number(f"{_DELIVERS} 150 % {_HARD}")
-    cc_widest_share_p20 = number(f"share {_HARD}, that the widest diffuser known delivers")
-    critical_ln_diameter_hot_high_60pct = number(f"{_DELIVERS} 60 % {_HOT}")
-    critical_ln_diameter_hot_high_80pct = number(f"{_DELIVERS} 80 % {_HOT}")
-    critical_ln_diameter_hot_high_100pct = number(f"{_DELIVERS} 100 % {_HOT}")
-    critical_ln_diameter_hot_high_120pct = number(f"{_DELIVERS} 120 % {_HOT}")
-    critical_ln_diameter_hot_high_150pct = number(f"{_DELIVERS} 150 % {_HOT}")
-    cc_widest_share_hot_high = number(f"share {_HOT}, that the widest diffuser known delivers")
-
-
-class FeaturesMargin(DatedLegTable, _ExchangerDemand, CompressorDemand):
-    """Demand of a flight on exchanger and compressor, independent of their wear: flight, pack."""
-
-
-class FeaturesAlerts(Table):
-    """One case that needs a person's attention."""
-
-    alert_id = text("hash of pack, diagnosis, sensor and first flight", nullable=False, primary_key=True)
-    operator = operator_key(primary_key=False)
-    tail = text("aircraft", nullable=False)
-    pack = pack_key()
-    component = text("HX, CC, RAM_DOOR, SENSOR or the code of a declared component", nullable=False)
-    diagnosis = text(
-        "code of the diagnosis, of unnest(tables.diagnoses()) or of a declared component",
-        nullable=False,
-    )
-    sensor = text("SENSOR_FAULT: sensor at fault or, where a loss was found clean, the component; null for others")
-    raised_flight_id = text("flight after which it was raised", nullable=False)
-    raised_at = moment("departure of the flight after which it was raised")
-    closed_at = moment(
-        "departure of the first flight without it; where none has flown since the work that ended it, when that counts",
-        nullable=True,
-    )
-    severity = text("low, medium or high, after now_flight_id", nullable=False)
-    evidence = text("when raised: what moved, by how much, since when, and what corroborates it", nullable=False)
-    evidence_phrases = text("JSON: evidence in phrases and values, to be written in another language", nullable=False)
-    recommended_action = text("what to do", nullable=False)
-    action_phrases = text("JSON: recommended_action in phrases and values", nullable=False)
-    raised_severity = text("low, medium or high when raised", nullable=False)
-    now_flight_id = text("last flight of the pack, or of a closed alert the last while it was open", nullable=False)
-    evidence_now = text("the same as evidence, after now_flight_id", nullable=False)
-    evidence_now_phrases = text("JSON: evidence_now in phrases and values", nullable=False)
-    closed_reason = text(
-        "renewed (another or a repaired part flies), found_clean (an inspection found nothing) or recovered (the "
-        "loss or fault is no longer estimated); null while open"
-    )
-    follows = text("alert that was found clean, of one that came back because the loss grew on")
-    units_in_90_days = column(
-        dy.Int64,
-        "units of the component on this position in the 90 days before it was raised, its own included; null for "
-        "sensors and doors",
-        "-",
-        nullable=True,
-    )

@@ -71,7 +71,7 @@ def merge_deliveries(frames: Iterable[pl.DataFrame], received_at: Mapping[str, d
 def _choose(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Choose the rows to store, one a key; all others with the `winner`, the first delivery of their flight.
 
-    `is_copy` says whether their delivery holds what is stored at other times.
+    `is_copy` is true where their delivery holds what is stored at other times.
     """
     own, same_key_in_file = _best_of_key(rows, (*KEY, "file"))
     ranks = _rank_deliveries(own)

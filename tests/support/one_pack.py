@@ -7,7 +7,7 @@ import polars as pl
 
 from hdt_core.alerts.alerts import raise_alerts
 from hdt_core.alerts.cases import Case, Grid
-from hdt_core.tables.features import FeaturesAlerts
+from hdt_core.tables.alerts import FeaturesAlerts
 
 FLIGHTS = 100
 A_DAY = 4

@@ -13,7 +13,7 @@ from hdt_core.alerts.cases import Case, Limits
 from hdt_core.alerts.disturbances import may_feign_wear
 from hdt_core.health.features import features
 from hdt_core.health.sensor_checks import cross_checks
-from hdt_core.tables.features import FeaturesAlerts
+from hdt_core.tables.alerts import FeaturesAlerts
 from hdt_core.tables.twin import Residuals
 
 FLIGHTS = 90

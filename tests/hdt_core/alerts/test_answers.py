@@ -6,7 +6,7 @@ import polars as pl
 import pytest
 
 from hdt_core.alerts.answers import alerts_now
-from hdt_core.tables.features import FeaturesAlerts
+from hdt_core.tables.alerts import FeaturesAlerts
 from hdt_core.tables.raw import RawMaintenance
 
 RAISED = dt.datetime(2024, 5, 1, 6, tzinfo=dt.UTC)
