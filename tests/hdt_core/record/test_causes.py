@@ -1,6 +1,6 @@
 """The shift that takes misdated flights back to a hole in their aircraft's record."""
 
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 import polars as pl
 import pytest
@@ -41,3 +41,54 @@ MINUTE = timedelta(minutes=1)
 def test_year_fits_hole(misdated, ends, begins, cause):
     """No overlap, and a flight within three days."""
     assert likely_cause(misdated, record(ends, begins)) == cause
+
+
+def misdate(right: datetime, wrong: datetime) -> str | None:
+    """The likely cause of a flight's wrong date: it left a hole of its own length in a long record."""
+    long = timedelta(days=200)
+    before = flight("LX-AA1", right - long, 1, landed_at=right)
+    after = flight("LX-AA1", right + LENGTH, 3, landed_at=right + long)
+    return likely_cause(listed([flight("LX-AA1", wrong, 2)]), listed([before, after]))
+
+
+def moment(year: int, month: int = 3, day: int = 14, hour: int = 6, minute: int = 0) -> datetime:
+    return datetime(year, month, day, hour, minute, tzinfo=UTC)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "cause"),
+    [
+        (moment(2024, 3, 12), moment(2024, 12, 3), "day_month_exchanged"),
+        (moment(2024, 12, 3), moment(2024, 3, 12), "day_month_exchanged"),
+        (moment(2024), moment(2024, hour=20), "hours"),
+        (moment(2024), moment(2024, 3, 13, 16), "hours"),
+        (moment(2024), moment(2024, hour=20, minute=30), None),
+        (moment(2024), moment(2049), "year"),
+        (moment(2049), moment(2024), "year"),
+        (moment(2024), moment(2050), None),
+        (moment(2199), moment(2200), "year"),
+        (moment(2200), moment(2201), None),
+        (moment(2024), moment(2024) + timedelta(weeks=1024), "week_rollover"),
+        (moment(2024), moment(2024) - timedelta(weeks=1024), "week_rollover"),
+        (moment(2024), moment(2024, 4), "month"),
+        (moment(2024), moment(2024, 2), "month"),
+    ],
+)
+def test_cause_is_shift_to_hole(right, wrong, cause):
+    assert misdate(right, wrong) == cause
+
+
+@pytest.mark.parametrize("leg", [1, 3])
+def test_record_may_begin_or_end_there(misdated, leg):
+    neighbours = record(MINUTE, MINUTE)
+
+    assert likely_cause(misdated, neighbours.filter(pl.col("flight_id").str.ends_with(f"{leg:02d}"))) == "year"
+
+
+@pytest.mark.parametrize(("source", "minutes", "cause"), [("cpl", 30, "year"), ("cpl", 31, None), ("acms", 0, None)])
+def test_other_recorder_may_hold_flight(misdated, source, minutes, cause):
+    """The same id near the same time, from another recorder, is the same flight."""
+    twin = flight("LX-AA1", HOLE + timedelta(minutes=minutes), 2, source=source)
+    neighbours = record(timedelta(hours=4), timedelta(hours=4))
+
+    assert likely_cause(misdated, pl.concat([neighbours, listed([twin])])) == cause

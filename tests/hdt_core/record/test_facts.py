@@ -5,7 +5,7 @@ from datetime import timedelta
 import polars as pl
 import pytest
 
-from hdt_core.record.facts import flight_facts
+from hdt_core.record.facts import flight_facts, ground_stops
 from hdt_core.tables.raw import RawSnapshots
 from tests.support.flight_lists import START
 
@@ -47,3 +47,32 @@ def test_stored_rows_have_no_order():
 
 def test_departure_is_the_first_time():
     assert facts_of([0, 5, 2, 7])["departed_at"] == START
+
+
+def stops_between(*reports: tuple[int, float, float | None]) -> list[float]:
+    """Ground stops of a flight with reports at these minutes, Mach numbers and altitudes. [s]"""
+    rows = [
+        {"flight_id": "one", "time_utc": START + timedelta(minutes=minute), "mach": mach, "altitude_m": altitude_m}
+        for minute, mach, altitude_m in reports
+    ]
+    return ground_stops(pl.DataFrame(rows), ["flight_id"])["ground_stop_s"].to_list()
+
+
+@pytest.mark.parametrize(
+    ("landing_m", "departing_m", "minutes", "stops_s"),
+    [
+        (900.0, 900.0, 40, [2_400.0]),
+        (900.0, 900.0, 20, []),
+        (9_000.0, 900.0, 40, []),
+        (900.0, 9_000.0, 40, []),
+    ],
+)
+def test_ground_stop_is_between_low_reports(landing_m, departing_m, minutes, stops_s):
+    landing = (60, 0.3, landing_m)
+    departing = (60 + minutes, 0.3, departing_m)
+
+    assert stops_between((0, 0.8, 9_000.0), landing, departing) == stops_s
+
+
+def test_taxiing_reports_are_no_flight():
+    assert stops_between((60, 0.3, 900.0), (80, 0.1, 900.0), (100, 0.3, 900.0)) == [2_400.0]

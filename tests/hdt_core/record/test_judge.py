@@ -178,6 +178,44 @@ def test_copy_is_held(good, offset, values):
     ]
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "n_held"),
+    [
+        ("mean_altitude_m", 50.0, 1),
+        ("mean_altitude_m", 51.0, 0),
+        ("mean_tat_k", 0.299, 1),
+        ("mean_tat_k", 0.301, 0),
+        ("mean_hx_in_k", 0.499, 1),
+        ("mean_hx_in_k", 0.501, 0),
+    ],
+)
+def test_copy_has_equal_means(good, name, change, n_held):
+    """Another decoding has a decimal less; the times differ."""
+    right = nth(good, "LX-AA1", 40)
+    copy = shift_flights(right.with_columns(pl.col(name) + change), "10m", leg=22)
+
+    held = judge(good, copy).filter(reason="copy_of_flight")
+
+    assert held.height == n_held
+
+
+@pytest.mark.parametrize(("seconds", "n_held"), [(120, 1), (121, 0)])
+@pytest.mark.parametrize("end", ["departed_at", "landed_at"])
+def test_copy_begins_or_ends_together(good, end, seconds, n_held):
+    right = nth(good, "LX-AA1", 40).with_columns(mean_altitude_m=pl.lit(1_000.0))
+    other = "landed_at" if end == "departed_at" else "departed_at"
+    copy = right.with_columns(
+        pl.col(end).dt.offset_by(f"{seconds}s"),
+        pl.col(other).dt.offset_by("10m"),
+        mean_altitude_m=pl.lit(2_000.0),
+        flight_id=pl.col("flight_id").str.head(-2) + "22",
+    )
+
+    held = judge(good, copy).filter(reason="copy_of_flight")
+
+    assert held.height == n_held
+
+
 def test_sparser_copy_is_held(good):
     right = nth(good, "LX-AA1", 10)
     better = right.with_columns(n_values=pl.lit(700, pl.Int64), flight_id=pl.lit("LX-AA1_20240307_25"))
@@ -185,9 +223,10 @@ def test_sparser_copy_is_held(good):
     assert judge(good, better)["flight_id"].to_list() == right["flight_id"].to_list()
 
 
-def test_overlapping_flight_is_held(good):
+@pytest.mark.parametrize("offset", ["-119h", "-120h30m"], ids=["begins in it", "ends in it"])
+def test_overlapping_flight_is_held(good, offset):
     right = nth(good, "LX-AA1", 40)
-    wrong = shift_flights(right, "-119h", leg=9)  # a ninth leg that begins during the second
+    wrong = shift_flights(right, offset, leg=9)  # a ninth leg at the time of the second
 
     assert reasons(judge(without(good, right), wrong)) == dict.fromkeys(wrong["flight_id"], "overlaps_flight")
 

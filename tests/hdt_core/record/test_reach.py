@@ -54,6 +54,17 @@ def test_late_landing_bridges_pause():
     assert find_held_days(RECORD, late, fly(HOME, 31, 53)) == []
 
 
+@pytest.mark.parametrize("first", [70, 140])
+@pytest.mark.parametrize(("apart", "days"), [(10.0, []), (10.01, [100])])
+def test_company_is_within_ten_days(first, apart, days):
+    """Another's record of twenty days that ends so long before the flight, or begins so long after it has landed."""
+    flight_ends = 100 + 2 / 24
+    begin = flight_ends + apart if first > 100 else 100 - apart - 20 - 2 / 24
+    other = fly(AWAY, *(begin + day for day in range(21)))
+
+    assert find_held_days(RECORD, fly(HOME, 100), other) == days
+
+
 def test_other_operators_tail_is_company():
     other = fly(("BBB", "LX-1"), *range(95, 110))
     assert find_held_days(RECORD, fly(HOME, 100), other) == []
