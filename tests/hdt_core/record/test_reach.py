@@ -65,6 +65,16 @@ def test_company_is_within_ten_days(first, apart, days):
     assert find_held_days(RECORD, fly(HOME, 100), other) == days
 
 
+@pytest.mark.parametrize(("n_away", "days"), [(1, [100, 100]), (2, [])])
+def test_half_of_fleet_is_company(n_away, days):
+    """Of three other aircraft some flew a single flight then, far from their records."""
+    tails = [("BBB", f"LX-{k}") for k in (2, 3, 4)]
+    records = [fly(tail, *range(30)) for tail in tails]
+    flights_then = [fly(tail, 100) for tail in [HOME, *tails[:n_away]]]
+
+    assert find_held_days(RECORD, *records, *flights_then) == days
+
+
 def test_other_operators_tail_is_company():
     other = fly(("BBB", "LX-1"), *range(95, 110))
     assert find_held_days(RECORD, fly(HOME, 100), other) == []
