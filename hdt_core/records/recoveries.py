@@ -3,6 +3,8 @@
 A log is written by people. It may be days late, dated by the local day before, list one piece of work twice or for the
 other position, or list work that was not done. The loss of a part settles most of it, for it falls on the flight after
 the work and on no other. An entry that counts before a message after which the loss fell is of work after the message.
+One whose date the flights contradict may have a wrong year or month, or day and month exchanged. Work that is dated
+long after the aircraft's last flight waits for its next one.
 An engineer who closes an alert names its position by that, so such an entry stays there.
 Where the loss is too small to show the work either way, the log's word counts.
 
@@ -32,8 +34,11 @@ RECOVERY_FLIGHTS = 10
 flights do not show counts as not done."""
 LATE_DAYS = 30.0
 """Days within which work is logged, or logged again: ten for a deferred repair [1], extended once, and ten more."""
-LOGGED, EARLY, LATE, ELSEWHERE, REPEATED, NOT_SEEN = ("logged", "early", "late", "elsewhere", "repeated", "not_seen")
-MOVED = (EARLY, LATE, ELSEWHERE)
+YEAR, MONTH = timedelta(days=365), timedelta(days=30.4)
+"""By how much a line is misdated whose year or month is wrong."""
+LOGGED, EARLY, LATE, MISDATED, ELSEWHERE = ("logged", "early", "late", "misdated", "elsewhere")
+REPEATED, NOT_SEEN, AHEAD = ("repeated", "not_seen", "ahead")
+MOVED = (EARLY, LATE, MISDATED, ELSEWHERE)
 """Verdicts on work that counts from where the flights show it."""
 IN_FORCE = (LOGGED, *MOVED)
 JUDGED: dict[str, Any] = {
@@ -103,6 +108,15 @@ class _Position:
         last = known_rows[-1]
         return float(self.loss[last]), float(self.loss_sd[last])
 
+    def is_beyond(self, moment: datetime) -> bool:
+        """Whether a moment lies longer after the last flight than work is logged late."""
+        return moment - self.departed_at[-1] > timedelta(LATE_DAYS)
+
+    def contradicts(self, entry_row: int, moment: datetime) -> bool:
+        """Whether work can't be of a moment: no flight is near, or those after it show none."""
+        is_outside = entry_row == 0 or self.is_beyond(moment)
+        return is_outside or self.unshown_from(entry_row) is not None
+
     def is_reported_between(self, begin: datetime, end: datetime) -> bool:
         """Whether a message came from one moment to another."""
         return any(begin <= moment < end for moment in self.messages)
@@ -146,8 +160,9 @@ class _Entry:
         known_from: datetime | None = self.counts_from
         if self.recovery is not None and self.verdict in MOVED:
             flown_from = place.departed_at[self.recovery]
-            settled_at = place.settled_at(self.recovery)
-            known_from = None if settled_at is None else max(settled_at, self.counts_from)
+            known_from = place.settled_at(self.recovery)
+            if known_from is not None and self.verdict != MISDATED:
+                known_from = max(known_from, self.counts_from)
         return {
             "index": self.index,
             "verdict": self.verdict,
@@ -224,6 +239,8 @@ def _judge_aircraft(rows: pl.DataFrame, positions: dict[int, _Position]) -> list
         late = [r for r in entry.position.unexplained if _is_late(entry, entry.position, r)]
         _explain(entry, entry.position, late[-1:], LATE)
     for entry in (e for e in entries if e.recovery is None and not e.is_of_case):
+        _explain(entry, entry.position, [r for r in entry.position.unexplained if _is_misdated(entry, r)], MISDATED)
+    for entry in (e for e in entries if e.recovery is None and not e.is_of_case):
         others = ((p, r) for p in positions.values() if p is not entry.position for r in p.unexplained)
         for place, recovery in [(p, r) for p, r in others if _is_late(entry, p, r)][-1:]:
             _explain(entry, place, [recovery], ELSEWHERE)
@@ -235,6 +252,8 @@ def _judge_aircraft(rows: pl.DataFrame, positions: dict[int, _Position]) -> list
         elif unshown is not None:
             entry.verdict = NOT_SEEN
             entry.known_until = entry.position.departed_at[unshown]
+        elif entry.position.is_beyond(entry.counts_from) and not entry.is_of_case:
+            entry.verdict = AHEAD
     return entries
 
 
@@ -257,6 +276,29 @@ def _is_early(entry: _Entry) -> bool:
         return False
     recovered_at = entry.position.departed_at[entry.recovery]
     return entry.position.is_reported_between(entry.counts_from, recovered_at)
+
+
+def _is_misdated(entry: _Entry, recovery: int) -> bool:
+    """Whether a usual slip of the entry's date leads to a recovery.
+
+    And either a message asked for that work, or the flights contradict the entry's own date.
+    """
+    place = entry.position
+    recovered_at = place.departed_at[recovery]
+    is_answer = place.is_reported_between(recovered_at - timedelta(LATE_DAYS), recovered_at)
+    if not is_answer and not place.contradicts(entry.row, entry.counts_from):
+        return False
+    return any(_is_on_time(recovery, place.row_at(moment)) for moment in _slips(entry.counts_from))
+
+
+def _slips(moment: datetime) -> Iterator[datetime]:
+    """Yield the moments that may have been meant: a year or month off, or day and month exchanged."""
+    for offset in (YEAR, -YEAR, MONTH, -MONTH):
+        yield moment + offset
+    second = timedelta(seconds=1)
+    on_day = moment - second  # an entry without a time counts from the next midnight
+    if on_day.day <= 12:
+        yield on_day.replace(month=on_day.day, day=on_day.month) + second
 
 
 def _is_late(entry: _Entry, place: _Position, recovery: int) -> bool:

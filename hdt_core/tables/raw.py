@@ -221,7 +221,8 @@ class FeaturesWork(RawMaintenance):
 
     verdict = text(
         "logged (as the log has it), early (dated before the message after which the flights show it), late (logged "
-        "after the flights show it), elsewhere (done at the other position), "
+        "after the flights show it), misdated (its year or month is wrong, or day and month are exchanged), elsewhere "
+        "(done at the other position), ahead (dated over 30 days after the last flight: waits for the next one), "
         "repeated (listed before) or not_seen (ten flights since do not show it)",
         nullable=False,
     )

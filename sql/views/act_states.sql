@@ -6,7 +6,7 @@
 -- since: departure of the flight with which it began
 -- changed_by: fleet (with that flight's forecast came a new model, of the fleet's record) or flights (its own)
 -- Grain: operator, tail, pack, component. Reads: prognoses, check_chances, tables.raw_checks, tables.raw_costs,
--- tables.raw_maintenance.
+-- settled_work.
 create or replace view act_states as
 with ends as (
     select
@@ -15,7 +15,7 @@ with ends as (
         pack,
         component,
         case when bool_or(since_night) then 'infinity'::timestamptz else max(counts_from) end as ended_at
-    from tables.raw_maintenance
+    from settled_work
     where action in ('REPLACED', 'CLEANED') or (action = 'INSPECTED' and finding = 'NO_FAULT_FOUND')
     group by operator, tail, pack, component
 ),

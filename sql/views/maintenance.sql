@@ -43,7 +43,10 @@ select
     coalesce(w.position, m.pack) as position,
     w.is_shown,
     coalesce(w.flown_from, m.counts_from) as flown_from,
-    case when w.verdict in ('early', 'late', 'elsewhere') then 'recovery' when m.is_done then 'log' end as matched_by,
+    case
+        when w.verdict in ('early', 'late', 'misdated', 'elsewhere') then 'recovery'
+        when m.is_done then 'log'
+    end as matched_by,
     case
         when not m.is_done then 'not done: ' || m.status
         when w.verdict = 'early' then 'dated before its message; the flights show it after'
@@ -51,6 +54,9 @@ select
             then
                 'logged ' || date_diff('day', (w.flown_from at time zone 'UTC')::date, m.done_on)
                 || ' days after the flights show it'
+        when w.verdict = 'misdated'
+            then 'dated ' || m.done_on || '; the flights show it on ' || (w.flown_from at time zone 'UTC')::date
+        when w.verdict = 'ahead' then 'dated long after the last flight of the aircraft; waits for its next one'
         when w.verdict = 'elsewhere' then 'the flights show it on pack ' || w.position
         when w.verdict = 'repeated' then 'the same work is listed before'
         when w.verdict = 'not_seen'

@@ -9,7 +9,7 @@
 -- flights_ago: flights since the oldest, its own not counted
 -- is_supported: an alert of the component is open, or its message is likely by the prognosis (one in ten)
 -- is_pressing: it came on two flights or more, or it is supported
--- Grain: operator, tail, pack, component. Reads: tables.raw_messages, tables.raw_maintenance, tables.features_work,
+-- Grain: operator, tail, pack, component. Reads: tables.raw_messages, tables.raw_maintenance, settled_work,
 -- tables.components, flights, unlogged_work, check_chances, alerts.
 create or replace view open_messages as
 with sent as (
@@ -31,27 +31,11 @@ ends as (
     select
         operator,
         tail,
-        position as pack,
+        pack,
         component,
-        flown_from as ended_at
-    from tables.features_work
-    where in_force
-    union all
-    select
-        m.operator,
-        m.tail,
-        m.pack,
-        m.component,
-        m.counts_from as ended_at
-    from tables.raw_maintenance as m
-    anti join tables.features_work as w
-        on
-            m.operator = w.operator
-            and m.tail = w.tail
-            and m.component = w.component
-            and m.action = w.action
-            and m.counts_from = w.counts_from
-    where m.action in ('REPLACED', 'CLEANED') or m.finding = 'NO_FAULT_FOUND'
+        counts_from as ended_at
+    from settled_work
+    where is_judged or action in ('REPLACED', 'CLEANED') or finding = 'NO_FAULT_FOUND'
     union all
     select
         operator,

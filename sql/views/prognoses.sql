@@ -2,7 +2,7 @@
 -- departed_on: day of departure in UTC; departed_at::date is a day of the session's time zone
 -- status: ok; contradicted (the component was found clean since, and not renewed: what the sensors say, which an
 -- inspection did not see); prior_only (no flight of the unit was informative: the prior of any unit)
--- Grain: flight, pack, component. Reads: airframes, alerts, unobserved_units, tables.prognoses, tables.raw_maintenance.
+-- Grain: flight, pack, component. Reads: airframes, alerts, unobserved_units, tables.prognoses, settled_work.
 create or replace view prognoses as
 with findings as (
     select
@@ -22,7 +22,7 @@ with findings as (
         component,
         counts_from,
         'ok' as status
-    from tables.raw_maintenance
+    from settled_work
     where action in ('REPLACED', 'CLEANED') and pack is not null
 ),
 

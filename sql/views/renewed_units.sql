@@ -4,7 +4,7 @@
 -- work_action: CLEANED or REPLACED; of several the last
 -- work_on: day of that work
 -- reference: work order
--- Grain: operator, tail, pack, component. Reads: flight_rates, tables.raw_maintenance.
+-- Grain: operator, tail, pack, component. Reads: flight_rates, settled_work.
 create or replace view renewed_units as
 select
     m.operator,
@@ -14,7 +14,7 @@ select
     m.action as work_action,
     m.done_on as work_on,
     m.reference
-from tables.raw_maintenance as m
+from settled_work as m
 inner join flight_rates as f
     on
         m.operator = f.operator

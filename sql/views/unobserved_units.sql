@@ -5,7 +5,7 @@
 -- counts_to: departure of the first flight after which its loss is so known, or since when the next unit is fitted;
 -- NULL where nothing is seen tonight
 -- Grain: operator, tail, pack, component, counts_from. Reads: health_parameters, tables.components,
--- tables.raw_maintenance.
+-- settled_work.
 create or replace view unobserved_units as
 with estimates as (
     select
@@ -38,7 +38,7 @@ entries as (
         pack,
         component,
         counts_from
-    from tables.raw_maintenance
+    from settled_work
     where action = 'REPLACED' and pack is not null
 ),
 

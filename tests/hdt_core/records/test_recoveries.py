@@ -84,6 +84,54 @@ def test_verdict_follows_flights(entry, verdict, position, from_flight):
     assert columns.row(0) == (verdict, position, departure(from_flight))
 
 
+@pytest.mark.parametrize(
+    "slip", [timedelta(days=365), timedelta(days=-365), timedelta(days=-30)], ids=["year on", "year back", "month back"]
+)
+def test_misdated_work_counts_at_recovery(slip):
+    entry = log((1, RENEWED)).with_columns(pl.col("done_at") + slip)
+
+    work = judge(fly(WORN[: RENEWED + 20]), entry)
+
+    assert work.select("verdict", "flown_from").row(0) == ("misdated", departure(RENEWED))
+
+
+def test_exchanged_day_is_misdated():
+    """Work of 6 February, before flight 108, is logged under 2 June."""
+    loss = np.where(np.arange(FLIGHTS) < 108, 0.3, 0.01)
+    second_of_june = log((1, 460))
+
+    assert judge(fly(loss), second_of_june)["verdict"].to_list() == ["misdated"]
+
+
+@pytest.mark.parametrize(("messages", "verdict"), [((), "logged"), ((150 - 1,), "misdated")])
+def test_possible_date_stays_without_message(messages, verdict):
+    """A small loss shows no work; a month later the same part recovers from a large one."""
+    loss = np.where(np.arange(200) < 100, 0.01, np.where(np.arange(200) < 150, 0.3, 0.01))
+    entry = log((1, 150 - 3 * 30))
+
+    work = judge(fly(loss), entry, messages_after(*messages))
+
+    assert work["verdict"].to_list() == [verdict]
+
+
+@pytest.mark.parametrize(("days", "verdict"), [(30, "logged"), (31, "ahead")])
+def test_work_far_ahead_waits(days, verdict):
+    last = departure(FLIGHTS - 1)
+    entry = log((1, FLIGHTS - 1)).with_columns(done_at=pl.lit(last + timedelta(days=days)))
+
+    work = judge(fly(np.full(FLIGHTS, 0.3)), entry)
+
+    assert work["verdict"].to_list() == [verdict]
+
+
+def test_closed_alert_counts_at_once():
+    """An engineer who closes an alert knows what was done."""
+    late = departure(FLIGHTS - 1) + timedelta(days=90)
+    entry = log((1, FLIGHTS - 1)).with_columns(done_at=pl.lit(late), source=pl.lit("case"))
+
+    assert judge(fly(np.full(FLIGHTS, 0.3)), entry)["in_force"].to_list() == [True]
+
+
 def test_closed_alert_names_its_position():
     """Another position's recovery moves a line of the log, and no work that an engineer closed an alert with."""
     work = log((2, RENEWED + 30)).with_columns(source=pl.lit("case"))
