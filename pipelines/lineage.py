@@ -152,14 +152,14 @@ STAGES = (
     }, untracked=("raw_fleet",), label="messages and maintenance"),
     declare_stage(
         "raw", "raw", "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights",
-        files=FLIGHT_FILES, code="6", untracked=("raw_fleet",), fresh="raw_flights", label="flights",
+        files=FLIGHT_FILES, code="7", untracked=("raw_fleet",), fresh="raw_flights", label="flights",
         batch_factor=1,
     ),
     declare_stage(
-        "record", "record", HELD, parents=("raw_flights",), judged=True, code="2", label="judgement of the record",
+        "record", "record", HELD, parents=("raw_flights",), judged=True, code="3", label="judgement of the record",
     ),
     declare_stage(
-        "legs", "legs", "legs_samples", "legs_verdicts", "legs_channels", parents=("raw_flights", HELD), code="6",
+        "legs", "legs", "legs_samples", "legs_verdicts", "legs_channels", parents=("raw_flights", HELD), code="7",
         fresh="legs_verdicts", label="legs",
     ),
     declare_stage(

@@ -7,8 +7,8 @@ import polars as pl
 from hdt_core.components.declaration import REPLACED, Channel, Component, Limit, Reading, Record
 from hdt_core.physics.compressor import exit_temperature_k, isentropic_efficiency
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
+from hdt_core.records.units import PSI_PA, ZERO_CELSIUS_K
 
-PSI_PA = 6894.757293168361
 RUNNING_RAD_S = 500.0
 LEAST_INLET_PA = 65e3
 """Below it, inlet pressure recorded in whole psi is too coarse: a digit is a tenth."""
@@ -57,9 +57,9 @@ CAC = Component(
     record=Record(
         channels=(
             Channel("speed_rpm", "speed_rad_s", "rad/s", "shaft speed", scale=pi / 30.0, low=-50.0, high=12500.0),
-            Channel("inlet_degc", "inlet_k", "K", "inlet temperature", offset=273.15, low=165.0, high=675.0),
+            Channel("inlet_degc", "inlet_k", "K", "inlet temperature", offset=ZERO_CELSIUS_K, low=165.0, high=675.0),
             Channel("inlet_psia", "inlet_pa", "Pa", "inlet pressure", scale=PSI_PA, low=0.0, high=276e3),
-            Channel("outlet_degc", "outlet_k", "K", "exit temperature", offset=273.15, low=165.0, high=675.0),
+            Channel("outlet_degc", "outlet_k", "K", "exit temperature", offset=ZERO_CELSIUS_K, low=165.0, high=675.0),
             Channel("outlet_psia", "outlet_pa", "Pa", "exit pressure", scale=PSI_PA, low=0.0, high=690e3),
             Channel("diffuser_pct", "diffuser_open", "-", "diffuser position", scale=0.01, low=-0.1, high=1.1,
                     needed=False),

@@ -16,6 +16,7 @@ from hdt_core.physics.air import (
 )
 from hdt_core.physics.model import Array, Param, PhysicsModel, Signal
 from hdt_core.physics.terms import TERMS
+from hdt_core.records.units import FOOT_M, ZERO_CELSIUS_K
 
 REFERENCE_FLUX_KG_S_M2 = 100.0
 """About that of 150 kt at 3,000 ft. [kg/s/m2]"""
@@ -145,10 +146,10 @@ HXT = Component(
     otherwise="a ram door that opens less, more pack flow, or drier air where water is sprayed: none is recorded",
     record=Record(
         channels=(
-            Channel("hot_in_degc", "hot_in_k", "K", "hot-side inlet", offset=273.15, low=165.0, high=625.0),
-            Channel("hot_out_degc", "hot_out_k", "K", "hot-side exit", offset=273.15, low=165.0, high=555.0),
-            Channel("tat_degc", "tat_k", "K", "total air temperature", offset=273.15, low=165.0, high=355.0),
-            Channel("altitude_ft", "altitude_m", "m", "pressure altitude", scale=0.3048, low=-610.0, high=18300.0),
+            Channel("hot_in_degc", "hot_in_k", "K", "hot-side inlet", offset=ZERO_CELSIUS_K, low=165.0, high=625.0),
+            Channel("hot_out_degc", "hot_out_k", "K", "hot-side exit", offset=ZERO_CELSIUS_K, low=165.0, high=555.0),
+            Channel("tat_degc", "tat_k", "K", "total air temperature", offset=ZERO_CELSIUS_K, low=165.0, high=355.0),
+            Channel("altitude_ft", "altitude_m", "m", "pressure altitude", scale=FOOT_M, low=-610.0, high=18300.0),
             Channel("mach", "mach", "-", "Mach number", low=-0.1, high=1.2),
             Channel("fan_rpm", "fan_rad_s", "rad/s", "ram air fan", scale=pi / 30.0, low=-50.0, high=7000.0,
                     needed=False),

@@ -12,9 +12,9 @@ import polars as pl
 from hdt_core.flight.phases import seconds_between
 from hdt_core.flight.quality import LIMITS, READING_SD, RUNNING_KG_S, SIGNALS
 from hdt_core.records.keys import FLIGHT, LEG
+from hdt_core.records.units import ZERO_CELSIUS_K
 from hdt_core.robust import Array
 
-ZERO_CELSIUS_K = 273.15
 RECORDING = [*LEG, "source"]
 NOT_FITTED, LOWER_RATE, ONE_CHANNEL = "not_fitted", "lower_rate", "one_channel"
 SCHEMA = {

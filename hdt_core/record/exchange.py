@@ -14,6 +14,8 @@ import polars as pl
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 from hdt_core.robust import MAD_TO_SD, Array
 
+PACKS = (1, 2)
+"""Packs that an aircraft has, by number."""
 EXCHANGED = "packs_exchanged"
 """Reason of flights that are used, each pack in its own place."""
 BETWEEN_PACKS = {
@@ -50,7 +52,7 @@ _IS_TEMPERATURE = np.array([name.endswith("_k") for name in BETWEEN_PACKS])
 
 def between_packs(signal: str) -> pl.Expr:
     """Return how far pack 1's mean of a signal lies above pack 2's."""
-    first, second = (pl.col(signal).filter(pl.col("pack") == number).mean() for number in (1, 2))
+    first, second = (pl.col(signal).filter(pl.col("pack") == number).mean() for number in PACKS)
     return first - second
 
 

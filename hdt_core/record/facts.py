@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import polars as pl
 
 from hdt_core.flight.phases import CRUISE_FLOOR_M
-from hdt_core.record.exchange import BETWEEN_PACKS, between_packs
+from hdt_core.record.exchange import BETWEEN_PACKS, PACKS, between_packs
 from hdt_core.record.two_sources import contradicted_logs, without_logs
 from hdt_core.records.keys import FLIGHT
 from hdt_core.tables.raw import SIGNALS
@@ -54,6 +54,7 @@ def flight_facts(rows: pl.DataFrame) -> pl.DataFrame:
         machs.max().alias("highest_mach"),
         pl.col("tat_k").mean().alias("mean_tat_k"),
         pl.col("hx_in_k").mean().alias("mean_hx_in_k"),
+        _highest_flow().alias("highest_flow_kg_s"),
         *(between_packs(signal).alias(name) for name, signal in BETWEEN_PACKS.items()),
         pl.sum_horizontal(pl.col(SIGNALS).count()).cast(pl.Int64).alias("n_values"),
     )
@@ -83,6 +84,12 @@ def ground_stops(rows: pl.DataFrame, key: Sequence[str]) -> pl.DataFrame:
     flights = airborne.select(*key, gap_s.over(key).alias("gap_s")).group_by(key, maintain_order=True)
     longest = flights.agg(pl.col("gap_s").max().alias("ground_stop_s"))
     return longest.filter(pl.col("ground_stop_s") > GROUND_STOP_S)
+
+
+def _highest_flow() -> pl.Expr:
+    """Return the usual flow of the pack that flows most: the other may be off."""
+    flow = pl.col("pack_flow_kg_s")
+    return pl.max_horizontal(flow.filter(pl.col("pack") == pack).median() for pack in PACKS)
 
 
 def _backward_steps(rows: pl.DataFrame) -> pl.DataFrame:

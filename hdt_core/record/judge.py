@@ -11,6 +11,7 @@ import polars as pl
 from hdt_core.flight.phases import CRUISE_FLOOR_M
 from hdt_core.record.exchange import EXCHANGED, exchanged_packs
 from hdt_core.record.facts import AIRBORNE_MACH, SILENCE_S
+from hdt_core.record.flow_unit import in_other_unit
 from hdt_core.record.misfiled import misfiled
 from hdt_core.record.overlap import overlapping
 from hdt_core.record.reach import out_of_reach
@@ -56,6 +57,7 @@ def judge_flights(flights: pl.DataFrame, delivered_on: pl.DataFrame, now: dateti
         _continuations,
         overlapping,
         lambda own: _out_of_reach(own, delivered_on),
+        in_other_unit,
         exchanged_packs,
         misfiled,
         _contradicted,

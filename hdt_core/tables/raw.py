@@ -91,6 +91,7 @@ class RawFlights(FlightTable):
     highest_mach = number("highest Mach number", "-")
     mean_tat_k = number("mean total air temperature", "K")
     mean_hx_in_k = number("mean heat exchanger hot-side inlet of the packs", "K")
+    highest_flow_kg_s = number("median flow of the pack that flows most", "kg/s")
     hx_in_between_packs_k = number("pack 1's mean hot-side inlet above pack 2's", "K")
     hx_out_between_packs_k = number("pack 1's mean hot-side exit above pack 2's", "K")
     cc_in_between_packs_k = number("pack 1's mean compressor inlet above pack 2's", "K")

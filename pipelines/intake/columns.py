@@ -19,11 +19,8 @@ from numpy.typing import NDArray
 from hdt_core.physics.air import standard_pressure_pa, total_to_static_pressure
 from hdt_core.physics.compressor import area_diameter_tan_beta_m3, effective_diameter_m, isentropic_efficiency
 from hdt_core.physics.model import Array
+from hdt_core.records.units import FOOT_M, POUND_KG, PSI_PA, ZERO_CELSIUS_K
 from pipelines.intake.faults import Fault
-
-POUND_KG = 0.45359237
-PSI_PA = 6894.757293168361
-ZERO_CELSIUS_K = 273.15
 
 KEYS = ("flight_id", "report_time", "pack")
 PHASE = "phase_code"
@@ -49,7 +46,7 @@ class Column:
 
 
 SIGNAL_COLUMNS = (
-    Column("altitude_ft", "altitude_m", -2_000, 60_000, 0.3048),
+    Column("altitude_ft", "altitude_m", -2_000, 60_000, FOOT_M),
     Column("mach", "mach", -0.1, 1.2),
     Column("tat_degc", "tat_k", -110, 80, offset=ZERO_CELSIUS_K),
     Column("pt_psia", "total_pressure_pa", -2, 25, PSI_PA),

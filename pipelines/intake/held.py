@@ -64,5 +64,6 @@ def cause_in_words(cause: str) -> str:
         "midnight": _("the date was not advanced at midnight"),
         "hours": _("a clock some hours off"),
         "log_clock": _("the log's clock is not that of the reports"),
+        "kg_per_minute": _("the flow is in kg/min"),
         "log_packs": _("one of the two has the packs in each other's place"),
     }.get(cause, cause)

@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 
 from hdt_core.physics.air import GAMMA, R_J_KG_K, mach_from_pressures, standard_pressure_pa
 from hdt_core.physics.model import Array
+from hdt_core.records.units import FOOT_M, POUND_KG, PSI_PA, ZERO_CELSIUS_K
 from pipelines.intake.columns import (
     HIGHEST,
-    POUND_KG,
-    PSI_PA,
     SIGNAL_COLUMNS,
     SIGNAL_NAMES,
-    ZERO_CELSIUS_K,
     law_values,
     violations,
 )
@@ -109,7 +107,7 @@ _UNITS: dict[tuple[str, ...], tuple[Unit, ...]] = {
         *(Unit("per cent", full_rpm / 100.0) for full_rpm in (24_000, 36_000, 52_000)),
         Unit("thousands of rpm", 1_000.0),
     ),
-    ("altitude_ft",): (Unit("m", 1 / 0.3048), Unit("flight levels", 100.0)),
+    ("altitude_ft",): (Unit("m", 1 / FOOT_M), Unit("flight levels", 100.0)),
     ("ram_door_pct",): (Unit("a fraction of 1", 100.0),),
 }
 """Other units of the columns that share one."""
@@ -139,7 +137,7 @@ def _mach_of_true_airspeed(c: Columns) -> Array:
 def _mach_of_calibrated_airspeed(c: Columns) -> Array:
     """Mach number of a calibrated airspeed in knots at the pressure altitude."""
     impact_pa = SEA_LEVEL_PA * ((1.0 + 0.2 * (c["mach"] * KNOT_M_S / SEA_LEVEL_SOUND_M_S) ** 2) ** 3.5 - 1.0)
-    static_pa = standard_pressure_pa(np.clip(c["altitude_ft"] * 0.3048, -1000.0, 20000.0))
+    static_pa = standard_pressure_pa(np.clip(c["altitude_ft"] * FOOT_M, -1000.0, 20000.0))
     return mach_from_pressures(static_pa + impact_pa, static_pa)
 
 

@@ -76,3 +76,15 @@ def test_ground_stop_is_between_low_reports(landing_m, departing_m, minutes, sto
 
 def test_taxiing_reports_are_no_flight():
     assert stops_between((60, 0.3, 900.0), (80, 0.1, 900.0), (100, 0.3, 900.0)) == [2_400.0]
+
+
+def test_highest_flow_is_of_the_pack_that_flows():
+    rows = [
+        KEY | {"pack": pack, "time_utc": START + timedelta(minutes=minute), "row_in_file": 0, "pack_flow_kg_s": flow}
+        for pack, flows in ((1, (0.0, 0.0, 0.9)), (2, (0.7, 0.8, 5.0)))
+        for minute, flow in enumerate(flows)
+    ]
+
+    facts = flight_facts(RawSnapshots.conform(pl.DataFrame(rows)).with_columns(row_in_file=0))
+
+    assert facts["highest_flow_kg_s"].to_list() == [0.8]
