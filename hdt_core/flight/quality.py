@@ -1,6 +1,7 @@
 """Screens of single readings, and the step of a recorder: what no sound sensor reports, and what rounding hides."""
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from math import erf, inf, log, sqrt
 
 import polars as pl
@@ -37,6 +38,10 @@ NOISY_RUN, NOISY_RUN_S, OFF_BELOW = 6, 120.0, 0.05
 SHARED_SENSORS = ("tat_k", "total_pressure_pa", "mach")  # both packs may record one and the same
 FROZEN_RISE_M = dict.fromkeys(("total_pressure_pa", "cc_in_pa"), 1_000.0)
 FROZEN_RISE_M |= dict.fromkeys(("tat_k", "cc_in_k", "hx_in_k", "hx_out_k", "cc_out_k"), 6_000.0)
+# moved by a controller as the air outside changes: [m] of climb after which the same reading all flight is a dead
+# sensor's; that of a jammed part still shows noise
+STILL_RISE_M = {"ram_door_open": 6_000.0}
+AT_STOP = 0.02  # of its travel from either end: there a sound part may stand all flight
 # noise of a reading [signal's unit]: it carries a reading across a finer step
 READING_SD = dict.fromkeys(("tat_k", "hx_in_k", "hx_out_k", "ram_out_k", "cc_in_k", "cc_out_k"), 0.35)
 READING_SD |= {"cc_in_pa": 90.0, "total_pressure_pa": 90.0, "cc_out_pa": 280.0, "ram_door_open": 0.005}
@@ -76,21 +81,32 @@ def null_bad_values(records: pl.DataFrame, *, by: Sequence[str]) -> pl.DataFrame
 
 def _null_frozen(rows: pl.DataFrame, flight: Sequence[str]) -> pl.DataFrame:
     """Null frozen readings; of flights that seem to have some, with the steps of the recorder at hand."""
-    flags = {s: _is_frozen_noisy(s) for s in NOISY} | {s: _is_frozen_in_climb(s) for s in FROZEN_RISE_M}
+    flags = _frozen_flags()
     suspects = rows.filter(pl.any_horizontal(flags.values())).select(flight).unique()
     if suspects.is_empty():
         return rows.with_columns(pl.lit(0, pl.Int32).alias("n_frozen"))
     records = rows.join(suspects, on=flight, how="semi")
     steps = records.group_by(flight).agg(_step_of_packs(s).alias(s) for s in flags)
     limits = steps.with_columns(
-        *(pl.Series(s, [run_of_chance(step or 0.0, READING_SD[s]) for step in steps[s]]) for s in NOISY),
+        *(
+            pl.Series(s, [run_of_chance(step or 0.0, READING_SD[s]) for step in steps[s]])
+            for s in (*NOISY, *STILL_RISE_M)
+        ),
         *(_hidden_rise_m(s) for s in FROZEN_RISE_M),
     ).rename({s: f"_limit_{s}" for s in flags})
     with_limits = rows.join(limits, on=flight, how="left", maintain_order="left", validate="m:1")
-    flags = {s: _is_frozen_noisy(s, pl.col(f"_limit_{s}")) for s in NOISY} | {
-        s: _is_frozen_in_climb(s, pl.col(f"_limit_{s}")) for s in FROZEN_RISE_M
-    }
+    flags = _frozen_flags({s: pl.col(f"_limit_{s}") for s in flags})
     return _null(with_limits, flags, "n_frozen").drop(f"_limit_{s}" for s in flags)
+
+
+def _frozen_flags(limits: Mapping[str, pl.Expr] | None = None) -> dict[str, pl.Expr]:
+    """Flag frozen readings of each signal that can be told: beyond the limits of the recorder's steps, if given."""
+    limit = defaultdict(lambda: pl.lit(0.0), limits or {})
+    return {
+        **{s: _is_frozen_noisy(s, limit[s]) for s in NOISY},
+        **{s: _is_frozen_in_climb(s, limit[s]) for s in FROZEN_RISE_M},
+        **{s: _is_still(s, limit[s]) for s in STILL_RISE_M},
+    }
 
 
 def _step_of_packs(signal: str) -> pl.Expr:
@@ -173,7 +189,7 @@ def _run(signal: str) -> pl.Expr:
     return pl.struct("_leg", pl.col(signal).forward_fill().over("_leg")).rle_id()
 
 
-def _is_frozen_noisy(signal: str, run_of_chance: pl.Expr | float = 0.0) -> pl.Expr:
+def _is_frozen_noisy(signal: str, run_of_chance: pl.Expr) -> pl.Expr:
     run = _run(signal)
     least = pl.max_horizontal(pl.lit(NOISY_RUN), run_of_chance)
     span_s = seconds_between(pl.col("time_utc").max(), pl.col("time_utc").min()).over(run)
@@ -181,7 +197,17 @@ def _is_frozen_noisy(signal: str, run_of_chance: pl.Expr | float = 0.0) -> pl.Ex
     return (pl.col(signal).count().over(run) >= least) & (span_s >= NOISY_RUN_S) & running
 
 
-def _is_frozen_in_climb(signal: str, hidden_m: pl.Expr | float = 0.0) -> pl.Expr:
+def _is_frozen_in_climb(signal: str, hidden_m: pl.Expr) -> pl.Expr:
     read_at_m = pl.col("altitude_m").filter(pl.col(signal).is_not_null())
     rise_m = (read_at_m.max() - read_at_m.min()).over(_run(signal))
     return (rise_m > FROZEN_RISE_M[signal] + hidden_m) & pl.col(signal).is_not_null()
+
+
+def _is_still(signal: str, run_of_chance: pl.Expr) -> pl.Expr:
+    reading = pl.col(signal)
+    read_at_m = pl.col("altitude_m").filter(reading.is_not_null())
+    is_one = (reading.min() == reading.max()).over("_leg")
+    is_long = reading.count().over("_leg") >= pl.max_horizontal(pl.lit(NOISY_RUN), run_of_chance)
+    rise_m = (read_at_m.max() - read_at_m.min()).over("_leg")
+    is_between_stops = reading.is_between(AT_STOP, 1.0 - AT_STOP, closed="none")
+    return is_one & is_between_stops & is_long & (rise_m > STILL_RISE_M[signal])

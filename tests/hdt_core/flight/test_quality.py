@@ -131,6 +131,51 @@ def test_frozen_air_reading_ignores_altitude(signal, beyond_m, n):
     assert screen(stuck)["n_frozen"].sum() == n
 
 
+def every(nth: int) -> pl.Expr:
+    """One reading in so many, of 40."""
+    return pl.when(pl.int_range(pl.len()) % nth == 0).then(0.42)
+
+
+def door_readings(value: float | pl.Expr, pack: int = 1, rise_m: float = 6_001.0, step: float = 0.001) -> int:
+    """How many door readings are taken out where a pack's are `value`, and the others in steps."""
+    flown = make_record().with_columns(
+        pl.col("altitude_m") / 11_000.0 * rise_m, pl.col("ram_door_open").truediv(step).round() * step
+    )
+    return screen(alter(flown, pl.col("pack") == pack, ram_door_open=value))["n_frozen"].sum()
+
+
+@pytest.mark.parametrize(
+    ("case", "n"),
+    [
+        ({"value": 0.42}, 40),
+        ({"value": 0.42, "pack": 2}, 40),
+        ({"value": 0.42, "rise_m": 6_000.0}, 0),
+        ({"value": every(8)}, 0),
+        ({"value": every(7)}, 6),
+        ({"value": 0.02}, 0),
+        ({"value": 0.021}, 40),
+        ({"value": 0.98}, 0),
+        ({"value": 0.979}, 40),
+    ],
+)
+def test_door_that_never_moves_is_frozen(case, n):
+    """Neither at a stop, where a sound one may stand, nor within a cruise."""
+    assert door_readings(**case) == n
+
+
+def test_jammed_door_still_flickers():
+    assert door_readings(0.42 + 0.005 * (pl.int_range(pl.len()) == 20).cast(pl.Float64)) == 0
+
+
+def test_coarse_step_hides_a_jammed_doors_flicker():
+    assert door_readings(0.42, step=0.02) == 0
+
+
+def test_two_doors_do_not_freeze_on_one_flight():
+    still = make_record().with_columns(ram_door_open=0.42)
+    assert screen(still)["n_frozen"].sum() == 0
+
+
 @pytest.mark.parametrize("sign", [-8.0, 8.0])
 @pytest.mark.parametrize("beside", [(345.0, 344.0), (344.0, 345.0), (345.0, 346.0), (346.0, 345.0)])
 def test_allowed_jump_is_no_spike(sign, beside):
