@@ -33,7 +33,8 @@ from pipelines.intake.logs import FleetLines, fleet_lines
 from pipelines.intake.readers import NO_READER, REPORTS, TYPES, Zone, readers
 from pipelines.storage.ledger import Ledger
 
-PART = ".part"
+PART = (".part", ".partial")
+"""Ends of the names of files that are still being written."""
 MAX_NS = 2**63 - 1
 """Farthest time from 1970 that a ledger holds."""
 FLEET_LIST, MESSAGES, MAINTENANCE = "fleet.csv", "messages.csv", "maintenance.csv"
@@ -73,7 +74,9 @@ class _Listing:
             self.reject(below, "cannot_open", error.strerror or type(error).__name__)
             return
         for entry in entries:
-            if PART in entry.name or entry.name.startswith(".") or (not below and entry.name == TYPES in readers()):
+            if entry.name.endswith(PART) or entry.name.startswith("."):
+                continue
+            if not below and entry.name == TYPES in readers():
                 continue
             if entry.is_symlink() and not self._stays_inside(entry.path):
                 detail = "a link that leaves the landing zone or leads nowhere"
@@ -253,7 +256,7 @@ def _flight_days(root: str, folder: Aircraft, ledger: Ledger | None) -> list[dat
     }
     for kinds in (*_KINDS, *recorded_components()):
         for file in Path(root, below, kinds).glob("*"):
-            if PART not in file.name and file.is_file():
+            if not file.name.endswith(PART) and file.is_file():
                 path = f"{below}/{kinds}/{file.name}"
                 flights.update(flights_in(LandingFile(root, path, *folder, "acms", 0, 0)) or ())
     return sorted(day for flight in flights if (day := flight_day(flight)))

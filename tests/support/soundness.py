@@ -49,7 +49,7 @@ _LOGS = ("raw_messages", "raw_maintenance", "raw_fleet", "raw_checks")
 
 def _delivered(landing: Path) -> set[str]:
     names = {str(f.relative_to(landing)) for f in landing.rglob("*") if f.is_file()}
-    return {n for n in names if not re.search(r"(^|/)\.|\.part", n)}
+    return {n for n in names if not re.search(r"(^|/)\.|\.part(ial)?(/|$)", n)}
 
 
 def answers(home: Path) -> dict[str, int]:

@@ -68,14 +68,29 @@ def test_stray_file_is_refused_alone(tmp_path, name):
     landing.quarantine["file"].item().encode()
 
 
-@pytest.mark.parametrize(
-    "name", ["AQX/LX-AAA/acms/LX-AAA_20240525_04.csv.part", "AQX/LX-AAA/acms/.x.csv.123.part", ".DS_Store"]
-)
+UNFINISHED = ["LX-AAA_20240525_04.csv.part", "x.7f3a.partial", "a.part", ".x.csv.123.part"]
+
+
+@pytest.mark.parametrize("name", [*(f"AQX/LX-AAA/acms/{name}" for name in UNFINISHED), "AQX.part", ".DS_Store"])
 def test_unfinished_file_is_left_alone(tmp_path, name):
     put(tmp_path, name)
     landing = list_landing(tmp_path)
     assert not landing.files
     assert landing.quarantine.is_empty()
+
+
+@pytest.mark.parametrize("name", ["history_2024-05.part1.parquet", "LX-AAA_20240525_04.part.csv", "a.party.csv"])
+def test_part_within_a_name_is_read(tmp_path, name):
+    put(tmp_path, f"AQX/LX-AAA/acms/{name}")
+
+    assert [f.name for f in list_landing(tmp_path).files] == [name]
+
+
+@pytest.mark.parametrize("name", ["x.csv.part1", "x.part.bak"])
+def test_part_of_unknown_form_is_refused(tmp_path, name):
+    put(tmp_path, f"AQX/LX-AAA/acms/{name}")
+
+    assert list_landing(tmp_path).quarantine["reason"].to_list() == ["unexpected_name"]
 
 
 @pytest.mark.parametrize(
