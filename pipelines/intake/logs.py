@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,8 @@ from pipelines.intake.text import Text, open_text, to_columns
 Row = tuple[object, ...]
 Words = dict[str, str]
 """Fields of a line by column, stripped; empty where the file has no such column."""
+_MIDNIGHT = r"^\s*(?<day>[0-9]{4}-[0-9]{2}-[0-9]{2})[T ]00:00(:00([.,]0+)?)?(Z|[+-][0-9]{2}(:?[0-9]{2})?)?\s*$"
+"""What spreadsheets and databases write for a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +58,17 @@ def parse_list(
     validate: Callable[[Words, datetime | None], Row | Fault],
     time: str = "",
     n_key: int = 0,
+    midnight_is_day: bool = False,
 ) -> Lines:
     """Open a list, validate its lines and drop duplicates.
 
     `time` is the column of times, which are parsed in bulk. The first `n_key` fields are a key: of several lines with
-    one key the first counts; 0: whole lines are compared.
+    one key the first counts; 0: whole lines are compared. With `midnight_is_day` a midnight is read as its day alone.
     """
     text = open_text(content, contract)
     lines = to_columns([text], ())
+    if midnight_is_day and time in lines.columns:
+        lines = lines.with_columns(pl.col(time).str.replace(_MIDNIGHT, "${day}"))
     harmless = () if n_key else ("no_rows",)  # an aircraft without messages has a header alone
     faults = [f for f in text.faults if f.reason not in harmless]
     good: dict[Row, int] = {}
@@ -229,8 +234,9 @@ def read_messages(file: LandingFile, now: datetime) -> FileIntake:
 def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     """Read the work done on one aircraft: the columns of `raw_maintenance`.
 
-    `done_on` may give a day or a time of day; `done_at` keeps the time. Work before the first stored flight counts as
-    any other; work before the aircraft's delivery gets a note. Work that was not done by its `status` may lie ahead.
+    `done_on` may give a day, also as its midnight, or a time of day; `done_at` keeps the time. Work before the first
+    stored flight counts as any other; work before the aircraft's delivery gets a note. Work that was not done by its
+    `status` may lie ahead.
     """
     delivered_on = file.delivered_on
     early = list[date]()
@@ -265,7 +271,8 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
 
     no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", "since_night", *CLOSES))
     contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=(*SERIALS, STATUS))
-    log = _read_log(file, no_work, lambda content: parse_list(content, contract, validate, "done_on"))
+    parse = partial(parse_list, contract=contract, validate=validate, time="done_on", midnight_is_day=True)
+    log = _read_log(file, no_work, parse)
     log = replace(log, due_at=min(later, default=None))
     notes = _note_on("before_delivery", "done_on", f"Delivered on {delivered_on}; work of", early)
     notes += _note_on("no_pack", "pack", "Work of", no_pack)

@@ -40,6 +40,8 @@ LOGS = [
     ("messages", MESSAGE + "2024-05-02T18:51:18Z,,,21-52-OTHER,\n", None),
     ("maintenance", WORK + "2024-05-03T14:20:00Z,1,HX,REPLACED,,\n", None),
     ("maintenance", WORK + "2024-05-03T14:20,1,HX,REPLACED,,\n", "time_without_zone"),
+    ("maintenance", WORK + "2024-05-03 00:00:00,1,HX,REPLACED,,\n", None),
+    ("messages", MESSAGE + "2024-05-02 00:00:00,,1,21-52-HXTEMP,\n", "time_without_zone"),
     ("maintenance", WORK + "2061-05-03T14:20:00Z,1,HX,REPLACED,,\n", "future_time"),
     ("maintenance", WORK + "03.05.2024,1,HX,REPLACED,,\n", "unreadable_time"),
     ("maintenance", WORK + "2061-05-03,1,HX,REPLACED,,\n", "future_time"),
@@ -116,6 +118,11 @@ def test_repeated_work_counts_once(read_work):
         ("2024-05-03", "2024-05-03", None),
         ("2024-05-04T00:30:00+02:00", "2024-05-03", "03 22:30"),
         ("2024-05-04T14:20:00Z", "2024-05-04", "04 14:20"),
+        ("2024-05-04T00:00:01Z", "2024-05-04", "04 00:00"),
+        ("2024-05-04 00:00:00", "2024-05-04", None),
+        ("2024-05-04T00:00:00.000Z", "2024-05-04", None),
+        ("2024-05-04T00:00+02:00", "2024-05-04", None),
+        ("2024-05-04T02:00:00+02:00", "2024-05-04", "04 00:00"),
     ],
 )
 def test_work_has_day_or_time(read_work, written, day, time):
