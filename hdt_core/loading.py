@@ -35,7 +35,7 @@ def load_entry_points(group: str, kind: str, error: type[Exception]) -> Iterator
 
 
 def read_text(file: Path) -> str:
-    """Return the text of a file that a person wrote.
+    """Return the text of a file that a person wrote, without the byte order mark of Notepad.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def read_text(file: Path) -> str:
         content = source.read(MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
         raise ValueError(f"it has more than {MAX_BYTES} bytes")
-    return content.decode("utf-8")
+    return content.decode("utf-8-sig")
 
 
 def parse_toml(text: str) -> dict[str, Any]:

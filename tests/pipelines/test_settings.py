@@ -96,6 +96,26 @@ def test_home_sets_retention(tmp_path, text, expected):
     assert retention(tmp_path) == expected
 
 
+SET = [
+    (retention, "retention.toml", "keep_days = 400"),
+    (receivers_of, "notify.toml", f"{MAIL}port = 25"),
+    (read_costs, "costs.toml", "[HX]\nwash = 700"),
+    (alert_limits, "alerts.toml", "soon_flights = 70"),
+    (chosen_methods, "estimators.toml", "HX = 'ekf'"),
+    (accepted_terms, "terms.txt", "flow_leak\n"),
+]
+
+
+@pytest.mark.parametrize(("read", "name", "text"), SET, ids=[name for _, name, _ in SET])
+def test_byte_order_mark_changes_no_setting(tmp_path, read, name, text):
+    plain, marked = tmp_path / "plain", tmp_path / "marked"
+    for home, encoding in ((plain, "utf-8"), (marked, "utf-8-sig")):
+        home.mkdir()
+        (home / name).write_text(text, encoding=encoding)
+
+    assert repr(read(marked)) == repr(read(plain))
+
+
 @pytest.mark.parametrize("text", [DEEP, "x = \ud800", "=", "x = 1", f"x = {'9' * 5_000}"])
 @pytest.mark.parametrize(
     ("name", "read", "error"),
