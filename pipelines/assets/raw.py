@@ -17,6 +17,7 @@ from pipelines.intake.faults import NO_FAULTS, quarantine
 from pipelines.intake.findings import NAME as COSTS_FILE
 from pipelines.intake.findings import costs_or_fault
 from pipelines.intake.ingest import ingest_flights, landing_files, register_unread
+from pipelines.intake.kept_lines import keep_lines
 from pipelines.intake.landing import list_landing
 from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.intake.logs import is_done, or_stored, read_checks, read_fleet, read_maintenance, read_messages
@@ -69,7 +70,13 @@ def _checks(file: LandingFile, now: datetime, home: Home) -> FileIntake:
 def raw_records(scope: PartitionScope, home: Home) -> StageResult:
     """Read messages, maintenance entries with the findings of cases, and heads of printed reports."""
     listing = home.ledger.of(scope.aircraft or {}).files([*RECORDS, REPORTS])
-    stored = {table: scope.read_table(home.store, table) for table in STAGE["raw_records"].tables}
+    landing = Path(home.landing)
+    files = landing_files(landing, listing)
+    of_logs = PartitionScope({t.airframe: [] for f in files for t in f.tenures} | (scope.aircraft or {}))
+    stored = {
+        table: (of_logs if table in _LINES else scope).read_table(home.store, table)
+        for table in STAGE["raw_records"].tables
+    }
     stored["raw_maintenance"] = pl.concat(
         # the case log has findings
         [stored["raw_maintenance"].filter(pl.col("source") != CASE), stored["raw_maintenance_not_done"]],
@@ -78,8 +85,6 @@ def raw_records(scope: PartitionScope, home: Home) -> StageResult:
     for kind in RECORDS:  # rows stored by earlier versions name no file
         file = pl.concat_str("operator", pl.lit("/"), "tail", pl.lit(f"/{kind}.csv"))
         stored[f"raw_{kind}"] = stored[f"raw_{kind}"].with_columns(pl.coalesce("file", file).alias("file"))
-    landing = Path(home.landing)
-    files = landing_files(landing, listing)
     logs = [*_logs(files, stored), *_printed(files, listing, stored["raw_reports"])]
     log_quarantine = pl.concat([NO_FAULTS, *(x.quarantine for _, x in logs)])
     inputs_changed = register_unread(home.ledger, listing, files, log_quarantine, due_times(logs))
@@ -105,6 +110,8 @@ def raw_records(scope: PartitionScope, home: Home) -> StageResult:
 
 
 RECORDS = {"messages": read_messages, "maintenance": read_maintenance}
+_LINES = ("raw_messages", "raw_maintenance", "raw_maintenance_not_done")
+"""Tables of lines that are compared with a log as a whole, which may belong to several airframes."""
 _AIRCRAFT = {"operator": pl.String, "tail": pl.String}
 _ROW_COUNTS = pl.col("delivered", "loaded", "quarantined", "duplicate").fill_null(0)
 _Logs = list[tuple[LandingFile, FileIntake]]
@@ -116,13 +123,17 @@ def due_times(logs: _Logs) -> dict[str, datetime]:
 
 
 def _logs(files: list[LandingFile], stored: Mapping[str, pl.DataFrame]) -> _Logs:
-    """Read messages and maintenance, one file an aircraft; packs already stored keep their numbers."""
+    """Read messages and maintenance, one file an aircraft, with stored lines that a shorter log leaves be.
+
+    Packs already stored keep their numbers.
+    """
     logs = _Logs()
     now = datetime.now(UTC)
     for file in (f for f in files if f.kind != REPORTS):
         own = stored[f"raw_{file.kind}"].filter(file=file.path)
         with_packs = replace(file, packs_stored=own.select(pl.col("pack").max()).item() or 0)
-        logs.append((with_packs, or_stored(RECORDS[file.kind](with_packs, now), own)))
+        log = RECORDS[file.kind](with_packs, now)
+        logs.append((with_packs, keep_lines(file, replace(log, rows=with_airframe(log.rows, file)), own)))
     return logs
 
 

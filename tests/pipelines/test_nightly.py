@@ -104,6 +104,26 @@ def test_disorderly_delivery_ends_clean(sample_landing, sample_home, tmp_path):
         assert ours.equals(theirs), name
 
 
+HISTORY = ("raw_messages", "raw_maintenance", "features_work", "features_alerts", "prognoses")
+
+
+def test_logs_of_last_day_erase_no_history(own_home):
+    """Every log cut to its last line."""
+    landing, home = own_home
+    before = {table: Store(home).read_table(table) for table in HISTORY}
+    cut = set()
+    for log in landing.glob("*/*/*.csv"):
+        head, *lines = sorted(log.read_text().splitlines(keepends=True), reverse=True)
+        log.write_text(head + "".join(lines[:1]))
+        cut |= {str(log.relative_to(landing))} if len(lines) > 1 else set()
+
+    assert not run(landing, home).failed
+
+    assert [table for table in HISTORY if not Store(home).read_table(table).equals(before[table])] == []
+    notes = query(home, "select file from quarantine where reason = 'fewer_lines'")
+    assert {file for (file,) in notes} == cut != set()
+
+
 def test_failed_aircraft_stops_no_other(own_home, monkeypatch):
     landing, home = own_home
     real = raw_assets.ingest_flights
