@@ -7,6 +7,7 @@ import dagster as dg
 import polars as pl
 from answers import query
 from nights import keep_base, run
+from soundness import faults
 
 from pipelines.assets import raw as raw_assets
 from pipelines.orchestration import around_night
@@ -122,6 +123,7 @@ def test_logs_of_last_day_erase_no_history(own_home):
     assert [table for table in HISTORY if not Store(home).read_table(table).equals(before[table])] == []
     notes = query(home, "select file from quarantine where reason = 'fewer_lines'")
     assert {file for (file,) in notes} == cut != set()
+    assert faults(home, landing) == []
 
 
 def test_failed_aircraft_stops_no_other(own_home, monkeypatch):

@@ -150,6 +150,13 @@ def test_note_counts_kept_lines(delivered):
     assert (log.n_delivered, log.n_loaded) == (5, 5)
 
 
+def test_log_read_again_is_the_same(delivered):
+    once, twice = delivered(YEAR, YEAR[3:4]), delivered(YEAR, YEAR[3:4], YEAR[3:4])
+
+    assert twice.rows.sort("done_on").equals(once.rows.sort("done_on"))
+    assert twice.quarantine["detail"].to_list() == once.quarantine["detail"].to_list()
+
+
 def test_whole_log_gets_no_note(delivered):
     assert delivered(YEAR[3:], YEAR).quarantine.is_empty()
 
