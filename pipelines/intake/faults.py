@@ -103,26 +103,16 @@ _QUARANTINE_ROWS = """
 select file, reason, sum(n_rows)::bigint as n_rows from quarantine
 where n_rows > 0 group by file, reason order by n_rows desc, file, reason
 """
-KEPT = "Kept:"
-"""Begin of the detail of `fewer_lines`, before the number of lines that an earlier delivery of a log held."""
-_REFUSED_LOGS = f"""
+_REFUSED_LOGS = """
 with refused as (
     select file, reason, sum(n_rows)::bigint as n from quarantine where scope in ('file', 'row') group by file, reason
-),
-kept as (
-    select file, sum(regexp_extract(detail, '{KEPT} ([0-9]+)', 1)::bigint)::bigint as n from quarantine
-    where reason = 'fewer_lines' group by file
-),
-logs as (
-    select d.file, d.quarantined, d.delivered - coalesce(k.n, 0) as n_lines from deliveries as d
-    left join kept as k on d.file = k.file
-    where regexp_matches(d.file, '(^|/)(messages|maintenance|fleet)[.]csv$') and d.quarantined > 0
 )
-select d.file, d.quarantined, d.n_lines, q.reasons from logs as d
+select d.file, d.quarantined, d.delivered, q.reasons from deliveries as d
 inner join (
     select file, list((reason, n) order by n desc, reason) as reasons from refused group by file
 ) as q on d.file = q.file
-where 2 * d.quarantined >= d.n_lines
+where regexp_matches(d.file, '(^|/)(messages|maintenance|fleet)[.]csv$') and 2 * d.quarantined >= d.delivered
+and d.quarantined > 0
 order by d.file
 """
 _JUDGED_WORK = """

@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 import polars as pl
 
 from hdt_core.tables.base import UTC
-from pipelines.intake.faults import KEPT, Fault
+from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import FileIntake, LandingFile
 from pipelines.intake.logs import is_done, or_stored
 
@@ -20,14 +20,17 @@ IDENTITY = {"messages": ("flight_id", "pack", "code"), "maintenance": ("referenc
 TIME = {"messages": "message_time", "maintenance": "done_on"}
 REDATED = timedelta(days=10)
 """Farthest that work without a reference is dated anew."""
+MONTH, YEAR = timedelta(days=31), timedelta(days=366)
+"""Farthest that work with one is; or a year, or with day and month exchanged. A check has its name again later."""
 _REST_OF_DAY = timedelta(days=1, microseconds=-1)
 
 
 def keep_lines(file: LandingFile, log: FileIntake, stored: pl.DataFrame) -> FileIntake:
     """Add to what was read of a log the lines `stored` of it that lie outside its time, with a note of their number.
 
-    A stored line that a new one corrects is not kept: of the same reference, or flight of a message, at another time;
-    or the same work without a reference, where the log's first or last line is new and at most `REDATED` from it.
+    A stored line that a new one corrects is not kept: of the same reference, or flight of a message, at a time that may
+    have been mistaken for it; or the same work without a reference, where the log's first or last line is new and at
+    most `REDATED` from it.
     """
     if log.rows.is_empty() and log.quarantine.height:
         return or_stored(log, stored)
@@ -63,7 +66,8 @@ def _time_of(new: pl.DataFrame) -> tuple[datetime | None, datetime | None]:
 def _without_corrected(kind: str, missing: pl.DataFrame, old: pl.DataFrame, new: pl.DataFrame) -> pl.DataFrame:
     """Drop the missing lines that a new line corrects."""
     identity = IDENTITY[kind]
-    named = _once(old, identity).join(_once(new, identity), on=identity, how="semi", nulls_equal=True)
+    pairs = _once(old, identity).join(_once(new, identity), on=identity, suffix="_new", nulls_equal=True)
+    named = pairs.filter(_may_be_mistaken(pl.col(TIME[kind]), pl.col(f"{TIME[kind]}_new")))
     rest = missing.join(named, on=identity, how="anti", nulls_equal=True)
     return _without_redated(rest, old, new) if kind == "maintenance" else rest
 
@@ -71,6 +75,14 @@ def _without_corrected(kind: str, missing: pl.DataFrame, old: pl.DataFrame, new:
 def _once(rows: pl.DataFrame, identity: tuple[str, ...]) -> pl.DataFrame:
     """Select the lines whose reference or flight names them alone."""
     return rows.filter(pl.col(identity[0]).is_not_null() & (pl.len().over(identity) == 1))
+
+
+def _may_be_mistaken(one: pl.Expr, other: pl.Expr) -> pl.Expr:
+    """Return whether one time may be a slip of the other: within a month, a year off, or day and month exchanged."""
+    apart = (one - other).abs()
+    is_year_off = apart.is_between(YEAR - timedelta(days=1), YEAR)
+    is_exchanged = (one.dt.day() == other.dt.month()) & (one.dt.month() == other.dt.day())
+    return (apart <= MONTH) | is_year_off | is_exchanged
 
 
 def _without_redated(missing: pl.DataFrame, old: pl.DataFrame, new: pl.DataFrame) -> pl.DataFrame:
@@ -93,8 +105,8 @@ def _without_redated(missing: pl.DataFrame, old: pl.DataFrame, new: pl.DataFrame
 
 def _note(kept: pl.DataFrame, first: datetime | None, last: datetime | None) -> Fault:
     if first is None or last is None:
-        return Fault("fewer_lines", detail=f"{KEPT} {kept.height}.")
+        return Fault("fewer_lines", detail=f"Kept: {kept.height}.")
     n_before = kept.filter(pl.col("ends") < first).height
     n_after = kept.height - n_before
-    detail = f"{KEPT} {kept.height}, of these {n_before} before {first.date()} and {n_after} after {last.date()}."
+    detail = f"Kept: {kept.height}, of these {n_before} before {first.date()} and {n_after} after {last.date()}."
     return Fault("fewer_lines", detail=detail)

@@ -34,7 +34,8 @@ def delivered(deliver, now) -> Deliver:
 
 
 def work(day: str, reference: str = "", status: str = "", action: str = "CLEANED") -> str:
-    return f"2024-{day},1,HX,{action},,{reference},{status}"
+    on = day if day.startswith("2025") else f"2024-{day}"
+    return f"{on},1,HX,{action},,{reference},{status}"
 
 
 def days(log: FileIntake) -> list[str]:
@@ -102,6 +103,17 @@ def test_only_a_few_days_make_work_the_same(delivered):
         "03-05",
         "05-05",
     ]
+
+
+@pytest.mark.parametrize(
+    ("day", "n"),
+    [("03-08", 2), ("03-09", 3), ("06-02", 2), ("06-03", 3), ("2025-02-05", 2), ("2025-02-06", 2), ("2025-02-07", 3)],
+)
+def test_mistaken_date_is_corrected(delivered, day, n):
+    """Of 6 February: up to a month or a year off or exchanged, and not the next check of its name."""
+    log = delivered([work("01-03"), work("02-06", "A-CHECK")], [work(day, "A-CHECK")])
+
+    assert log.rows.height == n
 
 
 def test_shared_reference_names_no_line(delivered):

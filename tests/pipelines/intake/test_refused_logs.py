@@ -3,7 +3,7 @@
 import pytest
 from small_catalog import OWN, START, catalog
 
-from pipelines.intake.faults import KEPT, REASONS, refused_logs
+from pipelines.intake.faults import REASONS, refused_logs
 
 LOG = "AAA/T-1/messages.csv"
 PLACE = {"file": LOG, "operator": OWN["operator"], "tail": OWN["tail"], "received_at": START}
@@ -23,14 +23,3 @@ def test_refused_log_names_each_reason(reasons, why):
     con = catalog(raw_records_deliveries=[PLACE | counts], raw_records_quarantine=[PLACE | row for row in refused])
 
     assert refused_logs(con) == [f"{LOG}: 7 of 8 lines refused: {why}"]
-
-
-@pytest.mark.parametrize(("delivered", "lines"), [(108, ["7 of 8 lines refused"]), (115, [])])
-def test_kept_lines_hide_no_refusal(delivered, lines):
-    """Of an earlier delivery 100 lines are kept."""
-    counts = {"delivered": delivered, "loaded": delivered - 7, "quarantined": 7, "duplicate": 0}
-    refused = PLACE | {"reason": "bad_pack", "scope": "row", "n_rows": 7}
-    note = PLACE | {"reason": "fewer_lines", "scope": "note", "n_rows": 0, "detail": f"{KEPT} 100."}
-    con = catalog(raw_records_deliveries=[PLACE | counts], raw_records_quarantine=[refused, note])
-
-    assert [line.split(": ")[1] for line in refused_logs(con)] == lines
