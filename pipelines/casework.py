@@ -82,6 +82,8 @@ def change_case(home: Path, case: Case, kind: str, person: str, last_line: int |
     if kind in _OPEN_ONLY and case["closed_at"] is not None:
         raise RefusedError(f"this alert closed on {case['closed_on']} ({case['closed_reason']})")
     body = {"note": _text(fields.get("note"), "note")} | (_BODY[kind](case, fields) if kind in _BODY else {})
+    if kind == "close" and case["closed_at"] is not None:
+        _require_own_work(home, case, body)
     state = {column: case[key] for column, key in _STATE_THEN.items()}
     line = {k: v for k, v in (body | state).items() if v is not None}
     alert = {c: case[c] for c in _ALERT} | {"operator": case["key_operator"], "tail": case["key_tail"]}
@@ -125,6 +127,18 @@ def _close(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
         "done_at": at.isoformat() if _has_time(on) or not on else None,
         "reference": _text(fields.get("reference"), "reference"),
     }
+
+
+def _require_own_work(home: Path, case: Case, body: Mapping[str, Any]) -> None:
+    """Refuse work on a closed case that would count for an open one; a closing is corrected until the next alert."""
+    day, at = parse_moment(body["done_at"] or body["done_on"], "on")
+    is_later = case["finding"] is None and day > case["closed_at"].date()
+    of_unit = {c: case[c] for c in ("operator", "tail", "pack", "component", "closed_at")}
+    if others := list_cases(home, _WORKED_ON_TOO, at=at, is_later=is_later, **of_unit):
+        raise RefusedError(
+            f"this alert closed on {case['closed_on']} ({case['closed_reason']}); work of {day} counts for"
+            f" {' and '.join(c['case_id'] for c in others)}, open now: close that, or give the day of this alert's (on)"
+        )
 
 
 def _reopen(case: Case, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -200,6 +214,8 @@ def _effect(kind: str, body: Mapping[str, Any], case: Case) -> str:
 
 
 OPEN = "state != 'closed'"
+_WORKED_ON_TOO = f"""{OPEN} and c.operator = $operator and c.tail = $tail and c.pack is not distinct from $pack
+    and c.component = $component and c.raised_at < $at and (c.raised_at > $closed_at or $is_later)"""
 _CASES = """
     with known as (select alert_id, list(known_as) as names from alert_cases group by alert_id)
     select

@@ -139,6 +139,33 @@ def test_closed_alert_takes_no_change(home):
         change(home, "gone", "acknowledge", "Ada")
 
 
+def test_long_closed_alert_takes_no_new_work(home):
+    with pytest.raises(RefusedError, match=r"counts for (wear and clog|clog and wear), open now"):
+        change(home, "gone", "close", "Ada", finding="fouled", action="cleaned")
+    assert (state(home, "wear"), history(home, "gone")) == ("new", [])
+
+
+def test_long_closed_alert_takes_work_of_its_time(home):
+    own_day = START.date() + dt.timedelta(days=19)
+    change(home, "gone", "close", "Ada", finding="fouled", action="cleaned", on=str(own_day))
+    assert (state(home, "wear"), find_case(home, "gone")["found_on"]) == ("new", own_day)
+
+
+def closed_beside_an_open_alert(home: Path, finding: str | None) -> dict:
+    """The alert `wear`, closed five days after `clog` was raised."""
+    return find_case(home, "wear") | {"closed_at": START + dt.timedelta(days=55), "finding": finding}
+
+
+def test_own_closing_is_corrected(home):
+    case = closed_beside_an_open_alert(home, "NO_FAULT_FOUND")
+    assert "fouled, inspected" in change_case(home, case, "close", "Ada", finding="fouled")
+
+
+def test_alert_closed_by_flights_takes_no_later_work(home):
+    with pytest.raises(RefusedError, match="clog, open now"):
+        change_case(home, closed_beside_an_open_alert(home, None), "close", "Ada", finding="fouled")
+
+
 @pytest.mark.parametrize("name", ["", "x", "%", "_"])
 def test_vague_name_finds_no_case(template_home, name):
     with pytest.raises(UserError):
