@@ -15,6 +15,7 @@ from hdt_core.record.flow_unit import in_other_unit
 from hdt_core.record.misfiled import misfiled
 from hdt_core.record.overlap import overlapping
 from hdt_core.record.reach import out_of_reach
+from hdt_core.record.two_operators import of_two_operators
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 from hdt_core.tables.raw import RecordHeld
 
@@ -42,7 +43,7 @@ def judge_flights(flights: pl.DataFrame, delivered_on: pl.DataFrame, now: dateti
     flights : DataFrame
         Table `raw_flights` of the whole fleet.
     delivered_on : DataFrame
-        `operator, tail, delivered_on`, where the fleet list gives it.
+        `operator, tail, delivered_on` of the fleet list's lines; null where it gives none.
     now : datetime
         The machine's clock. UTC.
 
@@ -54,6 +55,7 @@ def judge_flights(flights: pl.DataFrame, delivered_on: pl.DataFrame, now: dateti
     held_flights = [_alone(flights, now)]
     rest = flights.join(held_flights[0], on=FLIGHT, how="anti")
     for judge in (
+        lambda own: of_two_operators(own, delivered_on),
         _continuations,
         overlapping,
         lambda own: _out_of_reach(own, delivered_on),

@@ -6,6 +6,8 @@ import polars as pl
 
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 
+COPY = "copy_of_flight"
+"""Reason of flights that were delivered twice."""
 SAME_MEANS = {"mean_altitude_m": 50.0, "mean_tat_k": 0.3, "mean_hx_in_k": 0.5}
 """Differences of a flight's means that a decoding with a decimal less makes at most."""
 TOGETHER = timedelta(minutes=2)
@@ -58,7 +60,7 @@ def _first_overlaps(flights: pl.DataFrame) -> pl.DataFrame:
     verdicts = pairs.with_columns(is_same=_is_same(), hold=_to_hold()).with_columns(
         hold=pl.when("is_same").then(_lesser()).otherwise("hold")
     )
-    reason = pl.when("is_same").then(pl.lit("copy_of_flight")).otherwise(pl.lit("overlaps_flight")).alias("reason")
+    reason = pl.when("is_same").then(pl.lit(COPY)).otherwise(pl.lit("overlaps_flight")).alias("reason")
     second = verdicts.filter(pl.col("hold") == "second").select(*FLIGHT, reason, other_flight_id="flight_id_first")
     first = (
         verdicts.filter(pl.col("hold") == "first")

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from hdt_core.record.two_operators import CAUSE
 from pipelines.intake.faults import REASONS, limit_lines
 from pipelines.words import _, several
 
@@ -55,6 +56,8 @@ def clock_fault(con: "duckdb.DuckDBPyConnection", new_files: Iterable[str]) -> s
 
 def cause_in_words(cause: str) -> str:
     """Name a likely cause."""
+    if cause.startswith(CAUSE):
+        return _("{operator} delivered the flights too", operator=cause.removeprefix(CAUSE))
     return {
         "week_rollover": _("the week number of GPS began anew, 1,024 weeks"),
         "year": _("another year"),

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -65,6 +66,19 @@ def two_operators_one_tail_few_columns(landing: Path) -> Deliveries:
         yield
 
 
+def copied_folder_that_flies_on(landing: Path) -> Deliveries:
+    """An aircraft's flights are copied to its next operator, whom the fleet list lacks."""
+    zone = simulated(23, 7, operator="QQY", tail="Z9")
+    copied = zone.only(zone.flights[:-1])
+    before = replace(copied, operator="QQX", fleet=zone.fleet.with_columns(operator=pl.lit("QQX")))
+    drop_fleet(landing, [before])
+    before.drop_csv(landing)
+    copied.drop_csv(landing)
+    yield
+    zone.only(zone.flights[-1:]).drop_csv(landing)
+    yield
+
+
 def never_off_the_ground(landing: Path) -> Deliveries:
     zone = simulated(12, 4, operator="QQX", tail="Z9")
     still = {"altitude_ft": 0.0, "mach": 0.0, "pt_psia": 14.7}
@@ -116,6 +130,7 @@ SCENARIOS = (
     logs_alone,
     history_alone_in_other_types,
     two_operators_one_tail_few_columns,
+    copied_folder_that_flies_on,
     never_off_the_ground,
     one_snapshot_of_one_pack_a_flight,
     only_rubbish,
@@ -303,3 +318,14 @@ def test_infinite_result_is_set_aside(zone, seven, monkeypatch):
     shutil.copy(file, file.with_name(f"{sick} (1).csv"))  # the flight is made again
     assert run(landing, home).failed == {}
     assert (BROKEN,) not in query(home, "select reason from quarantine")
+
+
+def test_copied_folder_counts_once(folders):
+    """For the operator with more flights, on each night."""
+    landing, home = folders
+    flown_by = []
+    for _ in copied_folder_that_flies_on(landing):
+        run_soundly(landing, home)
+        flown_by += query(home, "select operator, count(distinct flight_id) from tables.twin_flights group by 1")
+    assert flown_by == [("QQX", 6), ("QQY", 7)]
+    assert query(home, "select distinct operator, likely_cause from held_flights") == [("QQX", "operator_QQY")]

@@ -18,6 +18,10 @@ ONE = {"operator": "AQX", "tail": "LX-AAA", "reason": "out_of_reach", "likely_ca
             ONE | {"n": 3},
             f"AQX LX-AAA: 3 flights from F on. {REASONS['out_of_reach'].sentence} Likely cause: another year.",
         ),
+        (
+            ONE | {"reason": "copy_of_flight", "likely_cause": "operator_BZR"},
+            f"AQX LX-AAA: F. {REASONS['copy_of_flight'].sentence} Likely cause: BZR delivered the flights too.",
+        ),
         (ONE | {"reason": "no_flight", "likely_cause": None}, f"AQX LX-AAA: F. {REASONS['no_flight'].sentence}"),
     ],
 )
