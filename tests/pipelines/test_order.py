@@ -3,14 +3,13 @@
 from collections.abc import Iterable
 from itertools import permutations
 
-import dagster as dg
 import polars as pl
 import pytest
 
 from pipelines.lineage import STAGE, STAGES, declare_stage, steps
-from pipelines.orchestration import batches, runs
-from pipelines.orchestration.runs import RemoteExecutor, Runner
-from pipelines.resources import NIGHT
+from pipelines.orchestration import batches
+from pipelines.orchestration.local_executor import LocalExecutor
+from pipelines.orchestration.runs import Runner
 
 
 def test_stage_follows_what_it_needs():
@@ -246,41 +245,37 @@ def test_batch_ends_follow_the_partitions():
     assert batch.flights == (FLIGHTS[1], FLIGHTS[0])
 
 
-@pytest.fixture
-def runner():
-    """Runner of an instance that lasts as long as the test; it makes nothing."""
-    with dg.DagsterInstance.ephemeral() as instance:
-        yield Runner(dg.Definitions(), instance, None, {})
+class WithoutFourth(OfOneAircraft):
+    """Every flight fails but the fourth of eight."""
+
+    def _run(self, tables, batch, label):
+        return None if [flight for _, flight in batch.cells] == ["3"] else "boom"
 
 
-@dg.job
-def no_work():
-    """A job without a step."""
+def test_three_bad_flights_end_the_search():
+    """The second half is not searched."""
+    batch = batches.PartitionBatch(tuple(("AAA:T-1", str(k)) for k in range(8)))
+    done = WithoutFourth(None, None, None, {}).make([], batch, "twins")
+    assert list(done.failed.values()) == ["flight 0, flight 1, flight 2, flight 4: boom"]
 
 
-def start(instance: dg.DagsterInstance, run: dg.DagsterRun) -> None:
-    """Record that a run has started, as its process does."""
-    event = dg.DagsterEvent(dg.DagsterEventType.PIPELINE_START.value, run.job_name)
-    instance.report_dagster_event(event, run.run_id)
+@pytest.mark.parametrize(
+    ("keys", "tags"),
+    [
+        (KEYS[:1], {"hdt/aircraft": "AAA:T1", "hdt/operator": "AAA"}),
+        (KEYS[:2], {"hdt/operator": "AAA"}),
+        (KEYS[2:], {}),
+    ],
+    ids=["aircraft", "operator", "fleet"],
+)
+def test_run_is_found_by_what_it_is_of(keys, tags):
+    own = batches.PartitionBatch(tuple((key, "") for key in keys)).tags()
+    assert {name: value for name, value in own.items() if name.startswith("hdt/")} == tags
 
 
-@pytest.mark.parametrize(("tags", "is_failed"), [(NIGHT, True), ({"user": "an engineer"}, False)])
-def test_only_orphaned_runs_are_failed(runner, tags, is_failed):
-    run = runner.instance.create_run_for_job(no_work, tags=tags)
-    start(runner.instance, run)
-
-    runner.fail_orphaned_runs()
-
-    assert runner.instance.get_run_by_id(run.run_id).is_failure == is_failed
-
-
-def test_orphaned_remote_runs_are_awaited(runner, monkeypatch):
-    answers = iter([True, True, False])
-    waits = []
-    monkeypatch.setattr(runs, "daemon_answers", lambda instance: True)
-    monkeypatch.setattr(runs, "is_active", lambda instance, tags: next(answers))
-    monkeypatch.setattr(runs.time, "sleep", waits.append)
-
-    RemoteExecutor(runner).settle()
-
-    assert waits == [runs.LOOK_S, runs.LOOK_S]
+@pytest.mark.parametrize(
+    ("flights", "n_batches", "is_shared"), [(1_999, 2, False), (2_000, 2, True), (2_000, 1, False)]
+)
+def test_two_thousand_flights_are_shared(tmp_path, flights, n_batches, is_shared):
+    executor = LocalExecutor(tmp_path, tmp_path, jobs=2)
+    assert executor.should_distribute([batches.PartitionBatch()] * n_batches, flights) is is_shared
