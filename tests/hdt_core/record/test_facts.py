@@ -1,4 +1,4 @@
-"""Facts of a flight from its recorded rows: steps back of the clock, in the order of each file."""
+"""Facts of a flight from its recorded rows: its ends, its airports, steps back of the clock in the order of a file."""
 
 from datetime import timedelta
 
@@ -47,6 +47,59 @@ def test_stored_rows_have_no_order():
 
 def test_departure_is_the_first_time():
     assert facts_of([0, 5, 2, 7])["departed_at"] == START
+
+
+def summarise(*reports: dict) -> dict:
+    """Facts of a flight of a file of these reports: minute, and what differs from a snapshot of pack 1."""
+    rows = [KEY | {"pack": 1, "time_utc": START + timedelta(minutes=r["minute"])} | r for r in reports]
+    frame = RawSnapshots.conform(pl.DataFrame(rows, infer_schema_length=None))
+    return flight_facts(frame.with_columns(row_in_file=pl.int_range(1, pl.len() + 1))).row(0, named=True)
+
+
+def test_ends_are_the_first_and_last_reports():
+    """Whatever their pack and order."""
+    facts = summarise(
+        {"minute": 85, "altitude_m": 3_000.0, "mach": 0.4},
+        {"minute": 5, "altitude_m": 2_000.0, "mach": 0.35},
+        {"minute": 90, "pack": 2, "altitude_m": 900.0, "mach": 0.25},
+        {"minute": 0, "pack": 2, "altitude_m": 800.0, "mach": 0.2},
+    )
+
+    assert (facts["first_altitude_m"], facts["last_altitude_m"]) == (800.0, 900.0)
+    assert (facts["first_mach"], facts["last_mach"]) == (0.2, 0.25)
+
+
+@pytest.mark.parametrize(("source", "column"), [("acms", "n_snapshots"), ("cpl", "n_seconds")])
+def test_moments_of_two_packs_count_once(source, column):
+    moments = ({"minute": minute, "pack": pack, "source": source} for minute in (0, 5, 10) for pack in (1, 2))
+
+    assert summarise(*moments)[column] == 3
+
+
+def test_airport_may_come_late():
+    assert summarise({"minute": 0}, {"minute": 5, "origin": "EGLL"})["origin"] == "EGLL"
+
+
+@pytest.mark.parametrize("sources", [["acms"], ["cpl"], ["acms", "cpl"]], ids=" ".join)
+def test_source_names_every_recorder(sources):
+    reports = ({"minute": minute, "source": source} for source in sources for minute in (0, 5))
+
+    assert summarise(*reports)["source"] == (sources[0] if len(sources) == 1 else "both")
+
+
+def test_contradicting_log_moves_no_end():
+    log = ({"minute": minute, "source": "cpl"} for minute in (600, 660))
+
+    facts = summarise({"minute": 0}, {"minute": 90}, *log)
+
+    assert (facts["log_fault"], facts["landed_at"]) == ("log_clock", START + timedelta(minutes=90))
+
+
+def test_worst_pack_counts_the_steps_back():
+    minutes = {1: [0, 5, 2, 7], 2: [0, 5, 2, 7, 3, 8]}
+    reports = ({"minute": minute, "pack": pack} for pack, own in minutes.items() for minute in own)
+
+    assert summarise(*reports)["n_steps_back"] == 2
 
 
 def stops_between(*reports: tuple[int, float, float | None]) -> list[float]:

@@ -54,6 +54,7 @@ def test_good_flights_are_not_held(n_aircraft, n_days):
     [
         ({"highest_mach": 0.0, "highest_altitude_m": 900.0}, "no_flight"),
         ({"highest_mach": None, "highest_altitude_m": 900.0}, "no_flight"),
+        ({"highest_mach": None, "highest_altitude_m": 2_900.0, "first_altitude_m": 2_500.0}, "no_flight"),
         ({"highest_mach": 0.0}, None),
         ({"highest_mach": None, "highest_altitude_m": None, "first_altitude_m": None}, None),
         ({"clock_back_s": 3_600, "n_steps_back": 1}, "clock_set_back"),
@@ -233,13 +234,22 @@ def test_overlapping_flight_is_held(good, offset):
 
 @pytest.mark.parametrize(
     ("pause_min", "altitude_m", "reason"),
-    [(5, 11_000.0, "continuation"), (40, 11_000.0, None), (5, 800.0, None), (1, 5_000.0, None)],
+    [(5, 11_000.0, "continuation"), (40, 11_000.0, None), (5, 800.0, None), (1, 5_000.0, None), (20, 800.0, None)],
 )
 def test_rest_of_split_flight_is_held(pause_min, altitude_m, reason):
     first = flight("LX-AA0", START, 1, last_altitude_m=11_000.0)
     rest = flight("LX-AA0", START + timedelta(minutes=90 + pause_min), 2, 9, first_altitude_m=altitude_m)
 
     assert reasons(judge(listed([first, rest]))).get(rest["flight_id"]) == reason
+
+
+def test_flight_is_held_for_its_first_reason():
+    first = flight("LX-AA0", START, 1, last_altitude_m=11_000.0)
+    rest = flight(
+        "LX-AA0", START + timedelta(minutes=95), 2, 9, first_altitude_m=11_000.0, source="both", log_fault="log_clock"
+    )
+
+    assert judge(listed([first, rest]))["reason"].to_list() == ["continuation"]
 
 
 def test_other_operator_is_not_continued():
