@@ -87,6 +87,12 @@ def test_flights_before_delivery_have_no_company():
     assert find_held_days(record, early, other, delivered_on=date(2024, 2, 5)) == [0]
 
 
+def test_group_about_delivery_has_company():
+    other = fly(AWAY, *range(60))
+    record = fly(HOME, *range(40, 70))
+    assert find_held_days(record, fly(HOME, 0, 3), other, delivered_on=date(2024, 1, 3)) == []
+
+
 @pytest.mark.parametrize(("pause_days", "days"), [(19.9, []), (20.1, [29])])
 def test_weekly_flights_reach_further(pause_days, days):
     """Twenty usual gaps of a day, of 24 hours less the flight."""
