@@ -92,3 +92,11 @@ def test_other_recorder_may_hold_flight(misdated, source, minutes, cause):
     neighbours = record(timedelta(hours=4), timedelta(hours=4))
 
     assert likely_cause(misdated, pl.concat([neighbours, listed([twin])])) == cause
+
+
+def test_every_flight_must_fit_the_hole(misdated):
+    """The first of two begins a minute too early."""
+    later = flight("LX-AA1", HOLE.replace(year=HOLE.year + 1) + timedelta(hours=5), 3)
+    neighbours = record(-MINUTE, timedelta(hours=20))
+
+    assert likely_cause(pl.concat([misdated, listed([later])]), neighbours) is None

@@ -50,6 +50,15 @@ def test_exchanged_flights_are_held(first, after_last):
     assert len(wrong) <= 2
 
 
+def test_exchange_follows_departures():
+    """The ids of the flights run the other way."""
+    flights = simulate_flights(OFFSETS, exchange_between(70)).sort("departed_at")
+
+    places = find_held_places(flights.with_columns(pl.col("flight_id").reverse()))
+
+    assert min(places) in range(69, 72)
+
+
 def test_unexchanged_packs_are_not_held():
     assert find_held_places(simulate_flights(OFFSETS, np.ones(N_FLIGHTS))) == []
 

@@ -53,9 +53,12 @@ def test_good_flights_are_not_misfiled(differences):
 
 
 def test_verdict_names_aircraft_that_flew(differences):
+    """By its flight before."""
     differences[0, PLACE] = USUAL[2]
+    flights = listed(differences)
 
-    assert misfiled(listed(differences))["other_flight_id"].str.head(6).to_list() == ["LX-AA2"]
+    before = flights.filter(tail="LX-AA2")["flight_id"][PLACE - 1]
+    assert misfiled(flights)["other_flight_id"].to_list() == [before]
 
 
 def test_single_exchange_of_packs_is_named(differences):

@@ -9,6 +9,7 @@ import pytest
 from hdt_core.record.exchange import BETWEEN_PACKS
 from hdt_core.record.judge import judge_flights
 from hdt_core.record.two_sources import contradicted_logs, without_logs
+from hdt_core.record.usable import usable_rows
 from tests.support.flight_lists import NOW, START, flight, listed
 
 LATER = timedelta(hours=5)
@@ -107,6 +108,14 @@ def test_contradicted_flight_is_used_without_log():
     verdicts = judge_flights(flights, NO_DELIVERIES, NOW)
 
     assert verdicts.select("reason", "is_used", "without_log").rows() == [("log_contradicts", True, True)]
+
+
+def test_contradicted_log_is_not_usable(reports):
+    flights = listed([flight("LX-AAA", START, 1, log_fault="log_packs")])
+
+    rows = usable_rows(pl.concat([reports, recording("cpl", 60)]), judge_flights(flights, NO_DELIVERIES, NOW))
+
+    assert rows.equals(reports)
 
 
 def test_ground_run_is_unused_whatever_its_log():

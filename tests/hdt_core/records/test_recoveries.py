@@ -1,56 +1,13 @@
-"""The maintenance log verdicts by the flights: on time, late, elsewhere, twice, not done."""
+"""The maintenance log verdicts by the flights: on time, late, elsewhere, not done."""
 
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import polars as pl
 import pytest
+from worn_positions import CLEAN, FLIGHTS, RENEWED, WORN, departure, fly, judge, log, messages_after
 
-from hdt_core.records.recoveries import as_known, find_recoveries, judge_work, settle, units_as_known
-
-START = datetime(2024, 1, 1, tzinfo=UTC)
-PACK = {"operator": "AAA", "tail": "T-1"}
-FLIGHTS = 120
-RENEWED = 60
-"""Flight from which the worn pack is clean; there is a flight each eight hours."""
-WORN = np.where(np.arange(FLIGHTS) < RENEWED, 0.3, 0.01)
-CLEAN = np.full(FLIGHTS, 0.02)
-
-
-def departure(flight: int) -> datetime:
-    return START + timedelta(hours=8 * flight)
-
-
-def fly(*losses: np.ndarray, sd: float = 0.01) -> pl.DataFrame:
-    """Flights of packs 1, 2 ... with these losses."""
-    parts = [
-        pl.DataFrame({"departed_at": [departure(k) for k in range(loss.size)], "loss": loss}).with_columns(
-            **{name: pl.lit(value) for name, value in PACK.items()},
-            pack=pl.lit(pack, pl.Int32),
-            loss_sd=sd,
-            row=pl.int_range(loss.size),
-        )
-        for pack, loss in enumerate(losses, 1)
-    ]
-    return pl.concat(parts)
-
-
-def log(*entries: tuple[int, int], action: str = "REPLACED") -> pl.DataFrame:
-    """Entries by pack and the first flight after the work."""
-    rows = [{**PACK, "pack": pack, "component": "HX", "action": action, "done_on": departure(k).date(),
-             "done_at": departure(k)} for pack, k in entries]  # fmt: skip
-    return pl.DataFrame(rows).with_columns(pl.col("pack").cast(pl.Int32))
-
-
-def messages_after(*flights: int) -> pl.DataFrame:
-    rows = [{**PACK, "pack": 1, "message_time": departure(k)} for k in flights]
-    schema = {"operator": pl.String, "tail": pl.String, "pack": pl.Int32, "message_time": pl.Datetime("us", "UTC")}
-    return pl.DataFrame(rows, schema=schema)
-
-
-def judge(flights: pl.DataFrame, entries: pl.DataFrame, messages: pl.DataFrame | None = None) -> pl.DataFrame:
-    messages = messages_after() if messages is None else messages
-    return judge_work(flights, entries, messages, "HX", ("REPLACED", "CLEANED")).sort("counts_from")
+from hdt_core.records.recoveries import as_known, find_recoveries, settle, units_as_known
 
 
 def test_recovery_is_located():
@@ -153,14 +110,6 @@ def test_ten_flights_refute_work(since, verdict):
     assert judge(fly(worn), log((1, RENEWED)))["verdict"].to_list() == [verdict]
 
 
-@pytest.mark.parametrize(("messages", "verdict"), [((), "repeated"), ((RENEWED + 2,), "logged")])
-def test_second_entry_needs_a_message(messages, verdict):
-    """Work that is listed twice is one job, unless a message came between."""
-    verdicts = judge(fly(WORN), log((1, RENEWED), (1, RENEWED + 3)), messages_after(*messages))
-
-    assert verdicts["verdict"].to_list() == ["logged", verdict]
-
-
 @pytest.mark.parametrize(
     ("message", "verdict", "from_flight"), [(-1, "early", 0), (-5, "logged", -4), (0, "logged", -4)]
 )
@@ -171,6 +120,40 @@ def test_message_after_entry_dates_work(message, verdict, from_flight):
     work = judge(fly(WORN), entry, messages_after(RENEWED + message))
 
     assert work.select("verdict", "flown_from").row(0) == (verdict, departure(RENEWED + from_flight))
+
+
+TWICE = np.where((np.arange(FLIGHTS) < 30) | ((np.arange(FLIGHTS) >= 45) & (np.arange(FLIGHTS) < RENEWED)), 0.3, 0.01)
+"""Losses of a position that recovers at flight 30 and at `RENEWED`."""
+
+
+@pytest.mark.parametrize("pack", [1, 2], ids=["late", "elsewhere"])
+def test_late_entry_is_of_the_last_recovery(pack):
+    work = judge(fly(TWICE, CLEAN), log((pack, RENEWED + 20)))
+
+    assert work["flown_from"].to_list() == [departure(RENEWED)]
+
+
+def test_misdated_work_is_known_by_the_flights():
+    """Long before the date that the log gives."""
+    work = judge(fly(WORN), log((1, RENEWED)).with_columns(pl.col("done_at") + timedelta(days=365)))
+
+    assert work["known_from"].to_list() == [departure(RENEWED + 10)]
+
+
+@pytest.mark.parametrize(("day", "verdict"), [(12, "misdated"), (13, "not_seen")])
+def test_twelfth_may_be_december(day, verdict):
+    """Work of 2 December is logged under a day of February."""
+    loss = np.where(np.arange(1_050) < 1_008, 0.3, 0.01)
+    entry = log((1, 0)).with_columns(done_at=datetime(2024, 2, day, 8, tzinfo=UTC))
+
+    assert judge(fly(loss), entry)["verdict"].to_list() == [verdict]
+
+
+def test_single_low_loss_spares_work():
+    loss = np.full(FLIGHTS, 0.3)
+    loss[RENEWED + 3] = 0.1
+
+    assert judge(fly(loss), log((1, RENEWED)))["verdict"].to_list() == ["logged"]
 
 
 def test_settled_log_corrects_its_entry():
@@ -200,6 +183,24 @@ def test_units_follow_contemporary_record(loss, entry, units):
     numbers = units_as_known(flights, judge(flights, log((1, entry))))
 
     assert numbers.select("known_row", "first_row").rows() == units
+
+
+def test_undone_work_leaves_the_last_unit():
+    worn_again = np.where((np.arange(FLIGHTS) >= RENEWED) & (np.arange(FLIGHTS) < 75), 0.01, 0.3)
+    flights = fly(worn_again)
+
+    numbers = units_as_known(flights, judge(flights, log((1, RENEWED), (1, 95))))
+
+    units = [(0, 0), (RENEWED, RENEWED), (95, 95), (104, RENEWED)]
+    assert numbers.select("known_row", "first_row").rows() == units
+
+
+def test_last_flight_may_refute_work():
+    flights = fly(np.full(RENEWED + 10, 0.3))
+
+    numbers = units_as_known(flights, judge(flights, log((1, RENEWED))))
+
+    assert numbers.select("known_row", "first_row").rows()[-1] == (RENEWED + 9, 0)
 
 
 def test_early_entry_counts_as_logged_at_first():
