@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hdt_core.alerts.cases import Grid
 from hdt_core.health.features import since_maintenance
 from hdt_core.prognosis.unit_lives import episodes
-from hdt_core.records.unit_index import REPLACEMENT, date_entries, first_flights, log_flags, number_units
+from hdt_core.records.unit_index import REPLACEMENT, date_entries, first_flights, log_flags, log_kept, number_units
 from hdt_core.simulate.design import FleetSettings
 from hdt_core.simulate.fleet import simulate_fleet
 from pipelines.report.plots import around_replacement
@@ -112,6 +112,28 @@ def answers(flights: pl.DataFrame, log: pl.DataFrame) -> dict[str, list[str]]:
 def test_modules_agree_on_units(hours, days):
     results = answers(fly(hours), work(*days))
     assert all(answer == results["records"] for answer in results.values()), results
+
+
+def test_entry_is_open_for_a_day_about_it():
+    is_open, due = log_flags(fly([31.9, 32.0, 60.0, 79.9, 80.0]), work((2, 8.0)), "HX")
+
+    assert (is_open == REPLACEMENT).tolist() == [False, True, True, True, False]
+    assert (due == REPLACEMENT).tolist() == [False, False, True, False, False]
+
+
+@pytest.mark.parametrize(("hour", "is_due"), [(6.0, False), (6.1, True)])
+def test_record_may_begin_within_a_day_of_work(hour, is_due):
+    _, due = log_flags(fly([30.0, 60.0]), work((0, hour)), "HX")
+
+    assert (due == REPLACEMENT).tolist() == [is_due, False]
+
+
+def test_log_is_kept_from_its_first_entry_on():
+    """Of those within the record."""
+    flights = fly([10.0, 30.0, 50.0])
+
+    assert log_kept(flights, work((0, 5.0), (0, 20.0), (1, 16.0))).tolist() == [False, True, True]
+    assert log_kept(flights, work((0, 5.0))).tolist() == [False] * 3
 
 
 FLIGHTS = fly([24.0 * day + 6.0 * leg for day in range(60) for leg in range(4)])

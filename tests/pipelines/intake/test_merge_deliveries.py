@@ -204,6 +204,63 @@ def test_five_reports_prove_a_copy(rows, n_reports, n_stored):
     assert merge_deliveries([rows, few], {}).rows.height == n_stored
 
 
+def warmer(rows: pl.DataFrame, file: str) -> pl.DataFrame:
+    """Rows of another file with other values."""
+    return rows.with_columns(pl.col("hx_out_k") + 2.0, file=pl.lit(file))
+
+
+def winner(*deliveries: pl.DataFrame) -> str:
+    """The one file whose rows are stored."""
+    (file,) = merge_deliveries(deliveries, {}).rows["file"].unique()
+    return file
+
+
+def test_numbered_copy_is_not_named_after_its_flight(rows):
+    assert winner(rows, warmer(rows, CSV.replace(".csv", " (1).csv"))) == CSV
+
+
+@pytest.mark.parametrize("n_rows", [42, 41])
+def test_rows_count_before_values(rows, n_rows):
+    """The file that is named after the flight lacks a signal."""
+    poor = rows.with_columns(tat_k=pl.lit(None, pl.Float64))
+
+    assert winner(poor, warmer(rows, COPY).head(n_rows)) == (COPY if n_rows == 42 else CSV)
+
+
+def test_missing_value_contradicts_no_other(rows):
+    """Each half has a row of the other, and one of them less of it."""
+    first = rows.head(22).with_columns(tat_k=pl.when(pl.int_range(pl.len()) < 21).then("tat_k"))
+    merged = merge_deliveries([first, rows.tail(21).with_columns(file=pl.lit(COPY))], {})
+
+    assert (merged.rows.height, merged.quarantine.height) == (42, 0)
+
+
+def test_log_at_other_times_is_no_copy(rows):
+    log = rows.with_columns(source=pl.lit("cpl"))
+
+    assert merge_deliveries([log, at_other_times(log, 7)], {}).rows.height == 84
+
+
+def two_days(rows: pl.DataFrame) -> pl.DataFrame:
+    """The later half a day later."""
+    is_late = NTH_TIME > 10
+    return rows.with_columns(pl.when(is_late).then(pl.col("time_utc") + timedelta(days=1)).otherwise("time_utc"))
+
+
+def test_later_file_has_the_note(rows):
+    parts = two_days(rows).with_columns(file=pl.when(NTH_TIME > 10).then(pl.lit(CSV)).otherwise(pl.lit(COPY)))
+
+    assert merge_deliveries([parts], {}).quarantine.select("file", "reason").rows() == [(CSV, "clock_jump")]
+
+
+def test_silence_in_one_file_is_its_own(rows):
+    """The file's intake notes it."""
+    whole = two_days(rows)
+    merged = merge_deliveries([whole, warmer(whole.head(4), COPY)], {})
+
+    assert merged.quarantine["reason"].unique().to_list() == ["conflicting_delivery"]
+
+
 @pytest.fixture(scope="module")
 def three_deliveries(good_flight, read_zone):
     spoiled = field(9, "vda_pos", b"")(field(5, "mach", b"0.5")(good_flight))
