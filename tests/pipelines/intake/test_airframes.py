@@ -2,9 +2,11 @@
 
 from datetime import date, timedelta
 
+import polars as pl
 import pytest
 
-from pipelines.intake.airframes import find_airframes, overlapping_folders
+from pipelines.intake.airframes import find_airframes, overlapping_folders, undated_folders, with_airframe
+from pipelines.intake.landing_file import LandingFile
 from pipelines.intake.logs import FleetLine
 
 DAY = date(2024, 5, 20)
@@ -26,8 +28,9 @@ def line(folder, msn="40002", since=None, until=None, delivered=None) -> FleetLi
         ([line(FIRST), line(LEASED)], [FIRST, FIRST]),
         ([line(FIRST, msn=None), line(LATER, msn=None)], [FIRST, LATER]),
         ([line(FIRST), line(LATER, msn="49999")], [FIRST, LATER]),
+        ([line(FIRST, since=DAY, delivered=date(2010, 1, 1)), line(LATER, until=BEFORE)], [LATER, LATER]),
     ],
-    ids=["registered anew", "dated and in disorder", "leased", "without msn", "two airframes"],
+    ids=["registered anew", "dated and in disorder", "leased", "without msn", "two airframes", "after delivery"],
 )
 def test_key_is_name_of_earliest_line(lines, keys):
     assert find_airframes(lines).keys == keys
@@ -47,6 +50,27 @@ def test_delivery_day_parts_undated_lines():
     assert [t.since for t in find_airframes(lines).tenures(FIRST)] == [date.min, DAY]
 
 
+def test_next_day_belongs_to_the_next_line():
+    lines = [line(FIRST, until=BEFORE), line(FIRST, msn="49999", delivered=DAY + timedelta(days=9))]
+
+    assert [t.since for t in find_airframes(lines).tenures(FIRST)] == [date.min, DAY]
+
+
+@pytest.mark.parametrize(("day", "tail"), [(BEFORE, "LX-AAC"), (DAY, "LX-AAC.2")])
+def test_work_is_of_the_airframe_of_its_day(day, tail):
+    context = f"airframe=0001-01-01,AQX,LX-AAC,;{DAY},AQX,LX-AAC.2,"
+    file = LandingFile("", "AQX/LX-AAC/maintenance.csv", *FIRST, "maintenance", 1, 1, context=context)
+    rows = pl.DataFrame({"operator": ["AQX"], "tail": ["LX-AAC"], "done_on": [day]})
+
+    assert with_airframe(rows, file)["tail"].to_list() == [tail]
+    assert file.tenure(day).airframe == ("AQX", tail)
+
+
+@pytest.mark.parametrize("dated", [{"until": BEFORE}, {}], ids=["dated", "undated"])
+def test_flights_decide_on_undated_lines_alone(dated):
+    assert undated_folders([line(FIRST, **dated), line(LATER)]) == (set() if dated else {FIRST, LATER})
+
+
 def test_lease_keeps_flights_apart():
     assert find_airframes([line(FIRST), line(LEASED)]).tenures(LEASED)[0].prefix == "BZR."
 
@@ -61,8 +85,9 @@ def test_ordinary_line_changes_no_name():
         [line(FIRST, until=DAY), line(LATER, since=DAY)],
         [line(FIRST), line(FIRST, msn="49999")],
         [line(FIRST, until=DAY), line(FIRST, msn="49999", since=DAY)],
+        [line(FIRST, since=DAY), line(FIRST, msn="49999", since=DAY)],
     ],
-    ids=["one msn, two names", "undated lines of one tail", "one tail, two msn"],
+    ids=["one msn, two names", "undated lines of one tail", "one tail, two msn", "one begin"],
 )
 def test_contradicting_lines_count_without_msn(lines):
     airframes = find_airframes(lines)
@@ -81,3 +106,17 @@ def test_flown_days_part_one_msn(later_from, apart):
     }
 
     assert overlapping_folders([line(FIRST), line(LATER)], days) == ({FIRST, LATER} if apart else set())
+
+
+@pytest.mark.parametrize(
+    ("n_flights", "n_misdated", "apart"), [(100, 5, False), (100, 6, True), (10, 2, False), (10, 3, True)]
+)
+def test_few_misdated_flights_are_no_overlap(n_flights, n_misdated, apart):
+    """A twentieth of them, and two at least."""
+    places = [*range(n_misdated), *range(n_flights + n_misdated, 2 * n_flights)]
+    days = {
+        FIRST: [DAY + timedelta(days=k) for k in range(n_flights)],
+        LATER: [DAY + timedelta(days=k) for k in places],
+    }
+
+    assert bool(overlapping_folders([line(FIRST), line(LATER)], days)) is apart

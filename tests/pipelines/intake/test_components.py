@@ -67,6 +67,13 @@ def test_longer_delivery_wins(put):
     assert read[1].quarantine["reason"].to_list() == ["conflicting_delivery"] * 3
 
 
+def test_first_of_simultaneous_lines_is_stored(put):
+    again = LINE.format(flight="C1", second=1, hot=410)
+    (read,) = read_balanced(put("AAA/T1/hx/a.csv", lines("C1", 2) + again))
+    assert read.rows.filter(signal="hot_in_k")["value"].to_list() == [400.0, 400.0]
+    assert read.quarantine.select("reason", "row").rows() == [("conflicting_delivery", 4)]
+
+
 def test_repeated_delivery_counts_once(put):
     files = [put(f"AAA/T1/hx/{n}.csv", lines("C1", 4)) for n in "ab"]
     assert sorted((d.n_loaded, d.n_duplicate) for d in read_balanced(*files)) == [(0, 4), (4, 0)]
