@@ -136,10 +136,10 @@ STAGES = (
     Stage("raw_fleet", "raw", {
         **dict.fromkeys(
             ("raw_fleet", "raw_files_deliveries", "raw_files_quarantine"),
-            Recipe(files=("fleet", "rejected", "refused", "checks", "costs"), code="3"),
+            Recipe(files=("fleet", "rejected", "refused", "checks", "costs"), code="4"),
         ),
         "raw_coverage": Recipe(files=("fleet", "type"), code=DECLARED),
-        "raw_checks": Recipe(files=("checks",)),
+        "raw_checks": Recipe(files=("checks",), code="1"),
         "raw_costs": Recipe(files=("costs",), code=DECLARED),
     }, label="fleet list and refused files"),
     Stage("raw_records", "raw", {

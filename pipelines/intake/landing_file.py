@@ -110,11 +110,15 @@ def _moment(text: str) -> tuple[datetime | None, bool]:
         return None, False
 
 
+DAY = r"^\s*(?P<day>[0-9]{4}-[0-9]{2}-[0-9]{2})([T ]00:00(:00([.,]0+)?)?(Z|[+-][0-9]{2}(:?[0-9]{2})?)?)?\s*$"
+"""A day, also as its midnight: so spreadsheets and databases write it."""
+
+
 def to_day(text: str | None) -> date | None:
-    """Parse an ISO 8601 date; None where it is none."""
-    text = (text or "").strip()
+    """Parse an ISO 8601 date, or its midnight; None where it is none."""
+    found = re.match(DAY, text or "")
     try:
-        return date.fromisoformat(text) if re.fullmatch(r"\d{4}-\d\d-\d\d", text) else None
+        return date.fromisoformat(found["day"]) if found else None
     except ValueError:
         return None
 

@@ -20,6 +20,7 @@ from hdt_core.tables.raw import CLOSES, RawChecks, RawFleet, RawMaintenance, Raw
 from pipelines.intake.columns import Contract
 from pipelines.intake.faults import Fault
 from pipelines.intake.landing_file import (
+    DAY,
     EARLIEST,
     MAX_PACKS,
     PACKS,
@@ -38,8 +39,6 @@ from pipelines.intake.text import Text, open_text, to_columns
 Row = tuple[object, ...]
 Words = dict[str, str]
 """Fields of a line by column, stripped; empty where the file has no such column."""
-_MIDNIGHT = r"^\s*(?<day>[0-9]{4}-[0-9]{2}-[0-9]{2})[T ]00:00(:00([.,]0+)?)?(Z|[+-][0-9]{2}(:?[0-9]{2})?)?\s*$"
-"""What spreadsheets and databases write for a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +67,7 @@ def parse_list(
     text = open_text(content, contract)
     lines = to_columns([text], ())
     if midnight_is_day and time in lines.columns:
-        lines = lines.with_columns(pl.col(time).str.replace(_MIDNIGHT, "${day}"))
+        lines = lines.with_columns(pl.col(time).str.replace(DAY, "${day}"))
     harmless = () if n_key else ("no_rows",)  # an aircraft without messages has a header alone
     faults = [f for f in text.faults if f.reason not in harmless]
     good: dict[Row, int] = {}

@@ -51,6 +51,8 @@ LOGS = [
     ("maintenance", "", "empty_file"),
     ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,2014-06-01,2\n", None),
     ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,2014-06-01,2.0\n", None),
+    ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,2014-06-01 00:00:00,2\n", None),
+    ("fleet", AIRCRAFT + "AQX,LX-AAA,40000,2014-06-01 06:00:00,2\n", "unreadable_time"),
     ("messages", MESSAGE + "2024-05-02T18:51:18Z,,1.0,21-52-HXTEMP,\n", None),
     ("messages", MESSAGE + "2024-05-02T18:51:18Z,,1.5,21-52-HXTEMP,\n", "bad_pack"),
     ("messages", MESSAGE + '2024-05-02T18:51:18Z,,1,21-52-HXTEMP,"HOT\nHIGH"\n', None),
