@@ -139,7 +139,7 @@ STAGES = (
             Recipe(files=("fleet", "rejected", "refused", "checks", "costs"), code="4"),
         ),
         "raw_coverage": Recipe(files=("fleet", "type"), code=DECLARED),
-        "raw_checks": Recipe(files=("checks",), code="1"),
+        "raw_checks": Recipe(files=("checks",), code="2"),
         "raw_costs": Recipe(files=("costs",), code=DECLARED),
     }, label="fleet list and refused files"),
     Stage("raw_records", "raw", {
