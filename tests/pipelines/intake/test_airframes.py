@@ -28,7 +28,7 @@ def line(folder, msn="40002", since=None, until=None, delivered=None) -> FleetLi
         ([line(FIRST), line(LEASED)], [FIRST, FIRST]),
         ([line(FIRST, msn=None), line(LATER, msn=None)], [FIRST, LATER]),
         ([line(FIRST), line(LATER, msn="49999")], [FIRST, LATER]),
-        ([line(FIRST, since=DAY, delivered=date(2010, 1, 1)), line(LATER, until=BEFORE)], [LATER, LATER]),
+        ([line(FIRST, since=DAY, delivered=date(2010, 1, 1)), line(LATER, since=BEFORE, until=BEFORE)], [LATER, LATER]),
     ],
     ids=["registered anew", "dated and in disorder", "leased", "without msn", "two airframes", "after delivery"],
 )
@@ -112,10 +112,10 @@ def test_flown_days_part_one_msn(later_from, apart):
     ("n_flights", "n_misdated", "apart"), [(100, 5, False), (100, 6, True), (10, 2, False), (10, 3, True)]
 )
 def test_few_misdated_flights_are_no_overlap(n_flights, n_misdated, apart):
-    """A twentieth of them, and two at least."""
-    places = [*range(n_misdated), *range(n_flights + n_misdated, 2 * n_flights)]
+    """A twentieth of the shorter record, and two at least."""
+    places = [*range(n_misdated), *range(100 + n_misdated, 100 + n_flights)]
     days = {
-        FIRST: [DAY + timedelta(days=k) for k in range(n_flights)],
+        FIRST: [DAY + timedelta(days=k) for k in range(100)],
         LATER: [DAY + timedelta(days=k) for k in places],
     }
 
