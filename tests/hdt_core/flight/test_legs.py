@@ -160,6 +160,12 @@ def test_pack_is_off_below_flow(flow, codes):
     assert reasons(leg(pack_flow_kg_s=at_rest), leg(2)) == codes
 
 
+def test_packs_land_together():
+    legs, _ = judge_legs(pl.concat([leg(), leg(2, rows=14)]))
+
+    assert legs["landed_at"].n_unique() == 1
+
+
 def test_samples_in_icing_are_not_nominal():
     _, samples = judge_legs(leg(altitude_m=6000.0, tat_k=some(270.0, 4, 250.0)))
 
