@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.intake.scan import list_new_files, scan
+from pipelines.intake.scan import find_loss, list_new_files, scan
 from pipelines.storage.ledger import Ledger
 
 FLIGHT = "AQX/LX-AAA/acms/LX-AAA_20240525_04.csv"
@@ -63,3 +63,14 @@ def test_removed_costs_are_without_content(zone):
     scan(landing, ledger)
 
     assert ledger.file_records()["costs.toml"].digest == ""
+
+
+@pytest.mark.parametrize(("had_list", "is_loss"), [(True, True), (False, False)])
+def test_only_a_list_that_was_there_is_lost(zone, had_list, is_loss):
+    landing, ledger = zone
+    if not had_list:
+        (landing / "fleet.csv").unlink()
+    scanned = scan(landing, ledger)
+    (landing / "fleet.csv").unlink(missing_ok=True)
+
+    assert ("fleet.csv" in find_loss(landing, scanned, ledger.file_records())) is is_loss
