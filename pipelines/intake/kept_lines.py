@@ -66,7 +66,9 @@ def _time_of(new: pl.DataFrame) -> tuple[datetime | None, datetime | None]:
 def _without_corrected(kind: str, missing: pl.DataFrame, old: pl.DataFrame, new: pl.DataFrame) -> pl.DataFrame:
     """Drop the missing lines that a new line corrects."""
     identity = IDENTITY[kind]
-    pairs = _once(old, identity).join(_once(new, identity), on=identity, suffix="_new", nulls_equal=True)
+    pairs = _once(old, identity).join(
+        _once(new, identity), on=identity, suffix="_new", nulls_equal=True, validate="1:1"
+    )
     named = pairs.filter(_may_be_mistaken(pl.col(TIME[kind]), pl.col(f"{TIME[kind]}_new")))
     rest = missing.join(named, on=identity, how="anti", nulls_equal=True)
     return _without_redated(rest, old, new) if kind == "maintenance" else rest
