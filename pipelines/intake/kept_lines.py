@@ -1,8 +1,9 @@
 """Keep the stored lines of a log that lie outside the time of a later delivery: a log of the last days erases nothing.
 
-A delivery speaks of the time from its first to its last message or work done. A stored line within that time that it
-lacks was taken out; one before or after stays. Work that was not done reaches no further: an open order of last year
-in a log of the last days, or a plan for the next, would have all between count as taken out.
+A delivery covers the time from its first to its last message or work done. A stored line within that time that it
+lacks was taken out; one before or after stays. So was the work of the last day where that alone is missing after a log
+that has nothing new: someone who entered work by mistake deletes it. Work that was not done reaches no further: an open
+order of last year in a log of the last days, or a plan for the next, would have all between count as taken out.
 """
 
 from dataclasses import replace
@@ -40,6 +41,8 @@ def keep_lines(file: LandingFile, log: FileIntake, stored: pl.DataFrame) -> File
     outside = pl.lit(True) if first is None else (pl.col("ends") < first) | (pl.col("begins") > last)
     same_line = [*IDENTITY[file.kind], TIME[file.kind]]
     missing = old.filter(outside).join(new, on=same_line, how="anti", nulls_equal=True)
+    if file.kind == "maintenance" and last is not None:
+        missing = _without_deleted(missing, new, old, last)
     kept = _without_corrected(file.kind, missing, old, new)
     if kept.is_empty():
         return log
@@ -61,6 +64,15 @@ def _time_of(new: pl.DataFrame) -> tuple[datetime | None, datetime | None]:
     lines = new.filter(is_done()) if "status" in new.columns else new
     first, last = lines.select(pl.col("begins").min(), pl.col("ends").max()).row(0)
     return first, last
+
+
+def _without_deleted(missing: pl.DataFrame, new: pl.DataFrame, old: pl.DataFrame, last: datetime) -> pl.DataFrame:
+    """Drop the missing work of the last day where it is all that is stored after a log with nothing new."""
+    has_news = new.join(old, on=[*IDENTITY["maintenance"], "done_on"], how="anti", nulls_equal=True).height > 0
+    after = missing.filter(pl.col("begins") > last, is_done())
+    if has_news or after["done_on"].n_unique() != 1:
+        return missing
+    return missing.filter(pl.col("done_on") != after["done_on"].max())
 
 
 def _without_corrected(kind: str, missing: pl.DataFrame, old: pl.DataFrame, new: pl.DataFrame) -> pl.DataFrame:

@@ -47,7 +47,7 @@ YEAR = [work(f"{month:02}-03", f"WO{month}") for month in range(1, 6)]
 MONTHS = [f"{month:02}-03" for month in range(1, 6)]
 
 
-@pytest.mark.parametrize("short", [YEAR[3:], YEAR[:2], YEAR[1:3], []], ids=["last", "first", "amid", "none"])
+@pytest.mark.parametrize("short", [YEAR[3:], YEAR[:3], YEAR[1:3], []], ids=["last", "first", "amid", "none"])
 def test_shorter_log_erases_nothing(delivered, short):
     assert days(delivered(YEAR, short)) == MONTHS
 
@@ -66,7 +66,23 @@ def test_months_one_by_one_are_all_kept(delivered, order):
 
 
 def test_line_within_its_time_is_taken_out(delivered):
-    assert days(delivered(YEAR, [YEAR[1], YEAR[3]])) == ["01-03", "02-03", "04-03", "05-03"]
+    assert days(delivered(YEAR, YEAR[::2])) == ["01-03", "03-03", "05-03"]
+
+
+@pytest.mark.parametrize("short", [YEAR[:4], YEAR[2:4]], ids=["whole", "rolling"])
+def test_last_work_can_be_taken_out(delivered, short):
+    """Entered by mistake, and deleted."""
+    assert days(delivered(YEAR, short)) == MONTHS[:4]
+
+
+def test_plans_beyond_deleted_work_stay(delivered):
+    plan = work("12-01", "WO12", "PLANNED")
+    assert days(delivered([*YEAR, plan], [*YEAR[:4], plan])) == [*MONTHS[:4], "12-01"]
+
+
+def test_log_with_news_deletes_nothing_after_it(delivered):
+    """A log of earlier months that comes late."""
+    assert days(delivered(YEAR[2:], [*YEAR[:2], *YEAR[2:4]])) == MONTHS
 
 
 @pytest.mark.parametrize(
@@ -154,11 +170,11 @@ def test_message_of_a_flight_may_be_timed_anew(delivered):
 
 
 def test_note_counts_kept_lines(delivered):
-    log = delivered(YEAR, YEAR[3:4])
+    log = delivered(YEAR, YEAR[2:3])
     (note,) = log.quarantine.select("reason", "scope", "detail").rows()
 
     assert note[:2] == ("fewer_lines", "note")
-    assert note[2].endswith("Kept: 4, of these 3 before 2024-04-03 and 1 after 2024-04-03.")
+    assert note[2].endswith("Kept: 4, of these 2 before 2024-03-03 and 2 after 2024-03-03.")
     assert (log.n_delivered, log.n_loaded) == (5, 5)
 
 
