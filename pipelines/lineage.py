@@ -198,7 +198,7 @@ STAGES = (
     declare_stage(
         "twin_health", "twin", "twin_health", "twin_checkpoints", "residuals_components",
         parents=("twin_flights", "calibration_components", "raw_maintenance", "calibration_sisters"), n_cell_parents=2,
-        settings=("health of components",), code="20",
+        settings=("health of components",), code="21",
         fresh="twin_health", label="health, features, alerts",
     ),
     declare_stage(  # legs are admitted after the twin, which does not depend on it

@@ -21,6 +21,7 @@ from hdt_core.robust import median_error
 from hdt_core.tracking.component import DesignOffset, scatter_by_segment, wear_settings
 from hdt_core.tracking.loss_filter import Loss, TrackResult, filtered, health_rows, join_tracks, track_loss
 from hdt_core.tracking.sensor_shifts import Corrections, corrections
+from hdt_core.tracking.undone_work import without_undone
 from hdt_core.tracking.wear_model import FAULT_CHANCE, Settings
 
 EFFICIENCY_SD, DIAMETER_SD_LN = 0.006, 0.02
@@ -66,6 +67,9 @@ def track(
     seal = f"{seal}|{dsm.dsm_version}"
     fouling = exchanger_loss(flights, corrections(flights), dsm, parts.exchanger)
     exchanger = track_loss(flights, maintenance, fouling, previous, seal)
+    log = without_undone(maintenance, flights, -fouling.observations[0], exchanger.health, fouling.component)
+    if log.height < maintenance.height:
+        exchanger = track_loss(flights, log, fouling, previous, seal)
     losses = [exchanger, *track_compressor(flights, maintenance, dsm, previous, seal, parts.compressor)]
     tracks = join_tracks(losses)
     diameter = effective_diameter(flights, parts.compressor)
