@@ -4,7 +4,7 @@
 -- neither loss nor margin in support, lapses after 50 flights without another.
 -- message_at: time of the oldest
 -- last_message_at: time of the newest
--- n_flights: flights on which it came
+-- n_flights: flights on which it came; a message without a flight is of the last one that departed within a day
 -- n_flown: flights since the oldest, its own included
 -- flights_ago: flights since the oldest, its own not counted
 -- is_supported: an alert of the component is open, or its message is likely by the prognosis (one in ten)
@@ -19,11 +19,17 @@ with sent as (
         m.pack,
         c.component,
         m.message_time,
-        coalesce(m.flight_id, m.message_time::varchar) as flight,
+        coalesce(
+            m.flight_id,
+            case when m.message_time < b.departed_at + interval 1 day then b.flight_id end,
+            m.message_time::varchar
+        ) as flight,
         coalesce(f.departed_at, m.message_time) as departed_at
     from tables.raw_messages as m
     inner join tables.components as c on m.code = c.message_code
     left join flights as f on m.operator = f.operator and m.flight_id = f.flight_id
+    asof left join flights as b
+        on m.operator = b.operator and m.tail = b.tail and m.message_time >= b.departed_at
     where m.pack is not null
 ),
 

@@ -446,6 +446,21 @@ def test_message_makes_pack_urgent(messages, urgency, is_listed):
 
 
 @pytest.mark.parametrize(
+    ("after", "n_flights"),
+    [((1.0, 1.1), 1), ((1.0, 23.9), 1), ((1.0, 25.0), 2), ((-30.0, -31.0), 2)],
+    ids=["sent twice", "on the flight's day", "on two flights", "of flights not on record"],
+)
+def test_messages_without_flight_count_by_flight(after, n_flights):
+    """Flights depart a day apart; hours after one are given."""
+    first = flight(0)["departed_at"]
+    sent = [message(0) | {"flight_id": None, "message_time": first + dt.timedelta(hours=h)} for h in after]
+    con = flown_with(n=20)
+    fill(con, raw_messages=sent)
+
+    assert rows(con, "select n_flights from open_messages") == [(n_flights,)]
+
+
+@pytest.mark.parametrize(
     ("messages", "shown"),
     [((70, 79), (None, None, 9)), ((79,), (126.0, 9.0, None))],
     ids=["that asks for work", "that is in doubt"],
