@@ -280,8 +280,12 @@ def _varies(values: Array, units: Index, n_units: int) -> Mask:
 
 
 def _slip_rows(change: Change, suspects: _Suspects, is_explained: Mask) -> pl.DataFrame:
+    """Return the rows of a change; with them the few that lack its columns, which would be left as a flight of two."""
     has_value = np.any([~np.isnan(suspects.columns[name]) for name in change.corrections], axis=0)
-    index = pl.Series("index", suspects.rows[is_explained & has_value], dtype=pl.UInt32)
+    n_rows = np.bincount(suspects.units)
+    share_with_value = np.bincount(suspects.units, has_value) / np.maximum(n_rows, 1)
+    is_rest = (share_with_value[suspects.units] >= BROKEN_SHARE) & (change.reason != OUTSIDE)
+    index = pl.Series("index", suspects.rows[is_explained & (has_value | is_rest)], dtype=pl.UInt32)
     columns = [n for n, low in change.lows.items() if np.mean(suspects.columns[n][is_explained] >= low) > HOLDING_SHARE]
     words = {
         "reason": change.reason,

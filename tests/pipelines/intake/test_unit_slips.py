@@ -91,6 +91,21 @@ def test_slip_names_its_unit(columns, scale, offset, unit, eighth):
     assert slips.height - right < 0.12 * recorded.height  # found, but as another unit
 
 
+@pytest.mark.parametrize(("is_empty", "are_left"), [((10, 0), False), ((3, 1), True)], ids=["few", "two of three"])
+def test_rows_without_the_column_go_with_the_others(is_empty, are_left, eighth):
+    """A flight of two reports is none; of a column at a lower rate the other rows are good."""
+    nth, kept = is_empty
+    place = pl.int_range(pl.len()).over("flight_id", "pack") % nth
+    is_null = place != 0 if kept else place == 0
+    in_kelvin = pl.when(~is_null).then(pl.col("hx_in_degc") + 273.15).alias("hx_in_degc")
+    recorded = eighth.filter(pl.col("hx_in_degc").is_not_null()).with_columns(in_kelvin).with_row_index("index")
+
+    slips = find_unit_slips(recorded.drop("index"))
+
+    of_slip = recorded.join(recorded.join(slips, on="index", how="semi"), on=["flight_id", "pack"], how="semi")
+    assert (of_slip.join(slips, on="index", how="anti").height > 0) is are_left
+
+
 def _true_kt(mach: pl.Expr) -> pl.Expr:
     """True airspeed in knots, by the total temperature (ISA sound speed 661.5 kt at 288.15 K)."""
     static_k = (pl.col("tat_degc") + 273.15) / (1.0 + 0.2 * mach**2)
