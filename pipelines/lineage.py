@@ -145,10 +145,10 @@ STAGES = (
     Stage("raw_records", "raw", {
         "raw_messages": Recipe(files=("messages",), code="4"),
         **dict.fromkeys(
-            ("raw_maintenance", "raw_maintenance_not_done"), Recipe(files=("maintenance", "findings"), code="8")
+            ("raw_maintenance", "raw_maintenance_not_done"), Recipe(files=("maintenance", "findings"), code="9")
         ),
         "raw_reports": Recipe(files=("reports",)),
-        **dict.fromkeys(("raw_records_deliveries", "raw_records_quarantine"), Recipe(files=RECORD_FILES, code="6")),
+        **dict.fromkeys(("raw_records_deliveries", "raw_records_quarantine"), Recipe(files=RECORD_FILES, code="7")),
     }, untracked=("raw_fleet",), label="messages and maintenance"),
     declare_stage(
         "raw", "raw", "raw_snapshots", "raw_logs", "raw_deliveries", "raw_quarantine", "raw_flights",

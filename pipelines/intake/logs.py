@@ -194,6 +194,8 @@ SERIALS = ("serial_off", "serial_on")
 OWN_CODES = frozenset(part.message_code for part in components().values())
 """Codes of the messages that the components' failures raise."""
 STATUS = "status"
+STATUS_NAMES = (STATUS, "wo_status", "work_status", "order_status", "task_status")
+"""The column as systems of maintenance export it; left out, work that was cancelled would count as done."""
 DONE = ("", "COMPLETED", "CLOSED", "DONE")
 """Statuses of a line of the maintenance log whose work was done; any other is of work that is planned or cancelled."""
 NOT_DONE = ("CANCELLED", "CANCELED", "OPEN", "DEFERRED", "PLANNED", "SCHEDULED", "PENDING")
@@ -246,7 +248,7 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
     def validate(words: Words, moment: datetime | None) -> Row | Fault:
         day = moment.date() if moment else to_day(words["done_on"])
         pack = _number_up_to(file.packs, words["pack"])
-        status = words[STATUS].upper()
+        status = next((words[name].upper() for name in STATUS_NAMES if words[name]), "")
         ahead = timedelta(0) if status in DONE else FARTHEST
         latest = now + ahead
         if fault := time_fault(moment, latest, "done_on") if moment else time_fault(day, latest.date(), "done_on"):
@@ -269,7 +271,8 @@ def read_maintenance(file: LandingFile, now: datetime) -> FileIntake:
                 *serials, status or None, file.path)  # fmt: skip
 
     no_work = pl.DataFrame(schema=RawMaintenance.types("counts_from", "source", "since_night", *CLOSES))
-    contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=(*SERIALS, STATUS))
+    extra = (*SERIALS, *STATUS_NAMES)
+    contract = Contract(("done_on", "pack", "component", "action"), ("finding", "reference"), extra=extra)
     parse = partial(parse_list, contract=contract, validate=validate, time="done_on", midnight_is_day=True)
     log = _read_log(file, no_work, parse)
     log = replace(log, due_at=min(later, default=None))

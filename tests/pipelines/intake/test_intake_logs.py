@@ -60,6 +60,7 @@ LOGS = [
     ("maintenance", WORK + "2024-05-03,1.0,HX,REPLACED,,\n", None),
     ("maintenance", WORK.strip() + ",status\n2025-05-03,1,HX,REPLACED,,,PLANNED\n", None),
     ("maintenance", WORK.strip() + ",status\n2025-05-03,1,HX,REPLACED,,,COMPLETE\n", "unknown_status"),
+    ("maintenance", WORK.strip() + ",wo_status\n2025-05-03,1,HX,REPLACED,,,COMPLETE\n", "unknown_status"),
     ("maintenance", WORK.strip() + ",status\n2061-05-03,1,HX,REPLACED,,,DONE\n", "future_time"),
     ("fleet", AIRCRAFT + "AQX,../etc,40000,2014-06-01,2\n", "bad_key"),
     ("fleet", AIRCRAFT + "AQX,LX-AAA,1,2014-06-01,2\nAQX,LX-AAA,1,2015-06-01,2\n", "bad_key"),
@@ -98,6 +99,15 @@ def test_status_decides_if_work_counts(status, done, read_work):
     rows = read_work(WORK.strip() + f",status\n2024-05-03,1,HX,REPLACED,,WO1,{status}\n").rows
 
     assert (rows.filter(is_done()).height, rows.height) == (done, 1)
+
+
+@pytest.mark.parametrize("columns", ["wo_status", "task_status", "status,wo_status"])
+def test_status_of_an_order_is_the_works(columns, read_work):
+    """Of two columns the one that is filled in."""
+    last = "," * columns.count(",") + "CANCELLED"
+    rows = read_work(f"{WORK.strip()},{columns}\n2024-05-03,1,HX,REPLACED,,WO1,{last}\n").rows
+
+    assert rows["status"].to_list() == ["CANCELLED"]
 
 
 @pytest.mark.parametrize(("kind", "content", "reason"), LOGS, ids=[f"{k} {r} {i}" for i, (k, _, r) in enumerate(LOGS)])
