@@ -211,7 +211,7 @@ STAGES = (
         "features", "features", "features", "features_components", "features_work",
         parents=(
             "twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance", "raw_messages"
-        ), code="11", fresh="features",
+        ), code="12", fresh="features",
     ),
     declare_stage(
         "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="26",
@@ -223,7 +223,7 @@ STAGES = (
     declare_stage("prognosis_base", "prognosis", "prognosis_base", code="4", label="prognosis"),
     # a model is stored with its scored flights, so prognoses come first: a kill between costs only work
     Stage("prognosis", "prognosis", {
-        **dict.fromkeys(("prognoses", "prognosis_model", "prognosis_lives"), Recipe(parents=_PROGNOSED, code="15")),
+        **dict.fromkeys(("prognoses", "prognosis_model", "prognosis_lives"), Recipe(parents=_PROGNOSED, code="16")),
         "prognosis_choices": Recipe(parents=_PROGNOSED, code="2"),
     }, fresh="prognoses"),
 )  # fmt: skip

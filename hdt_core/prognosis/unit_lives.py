@@ -1,6 +1,7 @@
 """Cut lives of units from flights, messages and the maintenance log, as far as the flights bear the log out."""
 
 from collections.abc import Sequence
+from datetime import timedelta
 
 import polars as pl
 
@@ -8,13 +9,15 @@ from hdt_core.components import Component
 from hdt_core.components.declaration import NO_FAULT
 from hdt_core.components.pack import CC, HX
 from hdt_core.health.work import judge_component
-from hdt_core.records.keys import AIRCRAFT, LEG, PACK
+from hdt_core.records.keys import AIRCRAFT, LEG, LEG_AT, PACK
 from hdt_core.records.recoveries import LATE_DAYS, as_recovery, units_as_known
 from hdt_core.records.unit_index import NEW_UNIT, RENEWALS
 
 # a message is answered within nine flights, the log may be five flights late, and the day it names ends five later
 ANSWER_FLIGHTS = 20
 """Flights before work whose message it answered where the flights do not show which loss it recovered."""
+MESSAGE_WITHIN = timedelta(days=1)
+"""Longest time from a departure to a message without a flight that it sent."""
 
 
 def episodes(
@@ -228,8 +231,8 @@ def _credible_messages(
     flights: pl.DataFrame, messages: pl.DataFrame, maintenance: pl.DataFrame, component: Component
 ) -> pl.DataFrame:
     """Select rows with the component's message, without those followed by an inspection that found no fault."""
-    own_messages = messages.filter(pl.col("code") == (component.message_code or "")).select(LEG).unique()
-    rows = flights.join(own_messages, on=LEG, validate="m:1")
+    own_messages = messages.filter(pl.col("code") == (component.message_code or ""))
+    rows = flights.join(_flights_of(own_messages, flights), on=LEG, validate="m:1")
     inspections = _cleared(maintenance, component)
     # inspected on one of the three days after: the message had another cause (the same day's entry may precede it)
     false_rows = rows.join(inspections, on=PACK, validate="m:m").filter(
@@ -237,6 +240,21 @@ def _credible_messages(
     )
     credible = rows.join(false_rows, on=[*PACK, "row"], how="anti")
     return credible.select(*PACK, "day", "loss", "loss_sd", message_row="row")
+
+
+def _flights_of(messages: pl.DataFrame, flights: pl.DataFrame) -> pl.DataFrame:
+    """Return the flights of messages, `LEG`: by id, or where that gives none the last that departed within a day."""
+    of_flight = messages.join(flights, on=LEG, how="semi").select(LEG)
+    others = messages.join(flights, on=LEG, how="anti").drop_nulls(["pack", "message_time"]).drop("flight_id")
+    by_time = others.sort("message_time").join_asof(
+        flights.select(LEG_AT).sort("departed_at"),
+        left_on="message_time",
+        right_on="departed_at",
+        by=PACK,
+        tolerance=MESSAGE_WITHIN,
+        check_sortedness=False,  # both are sorted
+    )
+    return pl.concat([of_flight, by_time.drop_nulls("flight_id").select(LEG)]).unique()
 
 
 def _cleared(maintenance: pl.DataFrame, component: Component) -> pl.DataFrame:

@@ -64,6 +64,21 @@ def test_message_ends_replaced_life(flight, failed):
     assert second == (60, 100, False, False, True)
 
 
+@pytest.mark.parametrize("flight_id", [None, "T-1_999"], ids=["none named", "not on record"])
+@pytest.mark.parametrize(("hours", "end"), [(0.0, 50), (23.0, 50), (-1.0, 49)])
+def test_message_without_flight_is_of_the_last_before(flight_id, hours, end):
+    sent = faults_on((50, HX_CODE)).with_columns(
+        pl.col("message_time") + timedelta(hours=hours), flight_id=pl.lit(flight_id, pl.String)
+    )
+    assert list_lives(sent, log(CHANGED))[0] == (0, end, True, True, False)
+
+
+def test_message_long_after_the_last_flight_is_of_none():
+    late = faults_on((58, HX_CODE)).with_columns(flight_id=pl.lit(None, pl.String))
+    lives = episodes(fly(55), late, log((54, "HX", "REPLACED", "FOULED"))).filter(component="HX")
+    assert lives["failed"].to_list() == [False]
+
+
 def test_first_message_ends_a_life():
     several = pl.concat([faults_on((45, HX_CODE)), faults_on((50, HX_CODE)), faults_on((42, CC_CODE))])
     assert list_lives(several, log(CHANGED))[0] == (0, 45, True, True, False)
