@@ -91,7 +91,7 @@ CASES = [
     Case("metres for feet", by.column("altitude_ft", lambda v: v * 0.3048), "wrong_unit", N, 0, "altitude_ft"),
     Case("an altimeter that reads too much", by.column("altitude_ft", lambda v: v + 9000), "implausible_pressure",
          column="altitude_ft"),
-    Case("rad/s for rpm", by.column("cc_speed_rpm", lambda v: v * 0.10472), "wrong_unit", N - 1, 1, "cc_speed_rpm"),
+    Case("rad/s for rpm", by.column("cc_speed_rpm", lambda v: v * 0.10472), "wrong_unit", N, 0, "cc_speed_rpm"),
     Case("inlet and exit swapped", by.exchanged("hx_in_degc", "hx_out_degc"), "swapped_columns", N, 0,
          "hx_in_degc, hx_out_degc"),
     Case("a flight of 1900", lambda c: c.replace(b"2024", b"1900"), "too_early", N, 0, "flight_id",
