@@ -43,12 +43,12 @@ def keep_lines(file: LandingFile, log: FileIntake, stored: pl.DataFrame) -> File
     missing = old.filter(outside).join(new, on=same_line, how="anti", nulls_equal=True)
     if file.kind == "maintenance" and last is not None:
         missing = _without_deleted(missing, new, old, last)
-    kept = _without_corrected(file.kind, missing, old, new)
-    if kept.is_empty():
+    lines_kept = _without_corrected(file.kind, missing, old, new)
+    if lines_kept.is_empty():
         return log
-    rows = pl.concat([log.rows, kept], how="diagonal").select(log.rows.columns)
-    quarantine = pl.concat([log.quarantine, file.quarantine([_note(kept, first, last)])])
-    return replace(log, rows=rows, quarantine=quarantine, n_delivered=log.n_delivered + kept.height)
+    rows = pl.concat([log.rows, lines_kept], how="diagonal").select(log.rows.columns)
+    quarantine = pl.concat([log.quarantine, file.quarantine([_note(lines_kept, first, last)])])
+    return replace(log, rows=rows, quarantine=quarantine, n_delivered=log.n_delivered + lines_kept.height)
 
 
 def _with_span(rows: pl.DataFrame) -> pl.DataFrame:
@@ -111,16 +111,16 @@ def _without_redated(missing: pl.DataFrame, old: pl.DataFrame, new: pl.DataFrame
     first, last = _time_of(new)
     is_end = (pl.col("begins") == first) | (pl.col("ends") == last)
     unnamed_ends = fresh.filter(is_end & pl.col("reference").is_null())
-    numbered = missing.with_row_index("n")
-    pairs = numbered.join(unnamed_ends, on=identity, suffix="_new", nulls_equal=True, validate="m:m")
+    lines = missing.with_row_index("n")
+    pairs = lines.join(unnamed_ends, on=identity, suffix="_new", nulls_equal=True, validate="m:m")
     redated = pairs.filter((pl.col("done_on") - pl.col("done_on_new")).abs() <= REDATED)
-    return numbered.join(redated, on="n", how="anti").drop("n")
+    return lines.join(redated, on="n", how="anti").drop("n")
 
 
-def _note(kept: pl.DataFrame, first: datetime | None, last: datetime | None) -> Fault:
+def _note(lines_kept: pl.DataFrame, first: datetime | None, last: datetime | None) -> Fault:
     if first is None or last is None:
-        return Fault("fewer_lines", detail=f"Kept: {kept.height}.")
-    n_before = kept.filter(pl.col("ends") < first).height
-    n_after = kept.height - n_before
-    detail = f"Kept: {kept.height}, of these {n_before} before {first.date()} and {n_after} after {last.date()}."
+        return Fault("fewer_lines", detail=f"Kept: {lines_kept.height}.")
+    n_before = lines_kept.filter(pl.col("ends") < first).height
+    n_after = lines_kept.height - n_before
+    detail = f"Kept: {lines_kept.height}, of these {n_before} before {first.date()} and {n_after} after {last.date()}."
     return Fault("fewer_lines", detail=detail)

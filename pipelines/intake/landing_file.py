@@ -116,9 +116,9 @@ DAY = r"^\s*(?P<day>[0-9]{4}-[0-9]{2}-[0-9]{2})([T ]00:00(:00([.,]0+)?)?(Z|[+-][
 
 def to_day(text: str | None) -> date | None:
     """Parse an ISO 8601 date, or its midnight; None where it is none."""
-    found = re.match(DAY, text or "")
+    parsed = re.match(DAY, text or "")
     try:
-        return date.fromisoformat(found["day"]) if found else None
+        return date.fromisoformat(parsed["day"]) if parsed else None
     except ValueError:
         return None
 
