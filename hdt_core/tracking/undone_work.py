@@ -75,16 +75,19 @@ class _History:
         before = self.losses.filter(pl.col("departed_at") < moment)
         if row < FEWEST or self.ln_loss.size - row < RECOVERY_FLIGHTS + FEWEST or before.is_empty():
             return False
+        loss, loss_sd = before.select("value", "sd").row(-1)
+        ln_loss = -np.log1p(-loss)
+        # the old part's build is in doubt where its loss is: their sum is what the flights show
+        new_part_sd = np.hypot(self.unit_sd, loss_sd / (1.0 - loss))
+        if ln_loss - self._fall_at(row)[0] <= RECOVERY_SDS * new_part_sd:  # so is the largest fall: most lines end here
+            return False
         first_row = self._row_at(moment - timedelta(LATE_DAYS))
         if earlier is not None:
             own_row = min(self._row_at(earlier) + RECOVERY_FLIGHTS, row - RECOVERY_FLIGHTS)
             first_row = max(first_row, own_row)
         falls = [self._fall_at(at) for at in range(max(first_row, FEWEST), row + RECOVERY_FLIGHTS + 1)]
-        loss, loss_sd = before.select("value", "sd").row(-1)
-        # the old part's build is in doubt where its loss is: their sum is what the flights show
-        new_part_sd = np.hypot(self.unit_sd, loss_sd / (1.0 - loss))
         fall, fall_sd = max(falls)
-        return bool(-np.log1p(-loss) - fall > RECOVERY_SDS * np.hypot(new_part_sd, fall_sd))
+        return bool(ln_loss - fall > RECOVERY_SDS * np.hypot(new_part_sd, fall_sd))
 
     def _row_at(self, moment: datetime) -> int:
         return int((self.departed_at < moment).sum())
