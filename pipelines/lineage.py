@@ -198,7 +198,7 @@ STAGES = (
     declare_stage(
         "twin_health", "twin", "twin_health", "twin_checkpoints", "residuals_components",
         parents=("twin_flights", "calibration_components", "raw_maintenance", "calibration_sisters"), n_cell_parents=2,
-        settings=("health of components",), code="21",
+        settings=("health of components",), code="22",
         fresh="twin_health", label="health, features, alerts",
     ),
     declare_stage(  # legs are admitted after the twin, which does not depend on it
@@ -211,10 +211,10 @@ STAGES = (
         "features", "features", "features", "features_components", "features_work",
         parents=(
             "twin_health", "residuals", "features_cross_checks", "features_margin", "raw_maintenance", "raw_messages"
-        ), code="12", fresh="features",
+        ), code="13", fresh="features",
     ),
     declare_stage(
-        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="26",
+        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="27",
     ),
     declare_stage(  # after the alerts, whose stage notes in the log which case goes on with which of them
         "raw_cases", "features", "raw_cases", parents=("features_alerts",), files=("cases",), code="2",

@@ -83,12 +83,18 @@ class Grid:
         """
         flight = np.arange(self.shape[1])
         has_update = np.isfinite(self.values(name))
-        if f"{name}_status" in self.rows.columns:
-            is_prediction = self.rows[f"{name}_status"].is_in(UNOBSERVED).fill_null(True).to_numpy()
-            has_update[self.unit, self.flight] &= ~is_prediction
+        has_update &= ~self.has_status(name, None, *UNOBSERVED)
         last = np.maximum.accumulate(np.where(has_update, flight, -1), axis=1)
         entry = np.maximum.accumulate(np.where(restart, flight, 0), axis=1)
         return np.asarray(np.take_along_axis(flags, np.maximum(last, 0), axis=1) & (last >= entry) & self.is_flight)
+
+    def has_status(self, name: str, *statuses: str | None) -> Array:
+        """Return whether an estimate's status is one of these; False where not flown. (units, flights) bool"""
+        out = np.zeros(self.shape, dtype=bool)
+        column = f"{name}_status"
+        if column in self.rows.columns:
+            out[self.unit, self.flight] = self.rows[column].is_in(statuses, nulls_equal=True).to_numpy()
+        return out
 
     def value(self, name: str, unit: int, flight: int) -> object:
         """Return one value of one flight."""

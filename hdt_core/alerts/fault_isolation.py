@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hdt_core.alerts.cases import Grid
+from hdt_core.flight.cross_checks import INLET_SHARE
 from hdt_core.flight.quality import SHARED_SENSORS
 from hdt_core.health.detection import Shift
 from hdt_core.robust import Array
@@ -41,7 +42,7 @@ SCHEDULE_SLOPE = 0.6
 DELIVERY_GAIN = 0.26
 """Relative change of delivery pressure with flow: pack and ducts lose about 12 of 93 kPa, as the square of it. [-]"""
 
-INLET_MOVES = {"hx_in_k": 0.7, "hx_out_k": 0.3, "ram_door_open": 65.0, "pack_flow_kg_s": -57.0, "hx": 3.0}
+INLET_MOVES = {"hx_in_k": INLET_SHARE, "hx_out_k": 0.3, "ram_door_open": 65.0, "pack_flow_kg_s": -57.0, "hx": 3.0}
 INLET_BLURS = {"ram_door_open": 25.0, "hx": 8.0}
 """Effects on the law of the hot inlet in cruise, a mean of discharge and ram outlet temperature, and their standard
 deviations. A film moves it by -5 K for the whole conductance, a blockage by 10. [K]"""

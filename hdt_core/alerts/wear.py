@@ -11,6 +11,7 @@ from hdt_core.health.detection import Cusum, lingering, persistent, since, watch
 from hdt_core.records.recoveries import RECOVERY_FLIGHTS
 from hdt_core.records.unit_index import NEW_UNIT
 from hdt_core.robust import Array
+from hdt_core.tracking.sensor_shifts import CORRECTED
 
 SETTLED_FLIGHTS = 5
 """Flights after work on a part before its track counts again."""
@@ -47,7 +48,8 @@ def hx_cases(
     step = grid.values("hx_fouling_step_3")
     is_settled = (since(restart) > SETTLED_FLIGHTS) & ~(step < -limits.clog)
     reliable = is_settled & (~lingering(doubtful, FAULT_ECHO) | (loss > limits.fouling + FAULT_ALLOWANCE))
-    gain = loss_rise(np.where(lingering(doubtful, FAULT_ECHO), np.nan, grid.values("hx_fouling_flight")), restart)
+    in_doubt = lingering(doubtful, FAULT_ECHO) | grid.has_status("hx_fouling", CORRECTED)
+    gain = loss_rise(np.where(in_doubt, np.nan, grid.values("hx_fouling_flight")), restart)
     limit = limits.fouling + np.where(visit_planned, BEYOND_DOUBT, 0.0)
     above_limit = (odds_above(loss, sd, limit) > limits.fouling_odds) | (gain > limit + RISE_MARGIN)
     sure = grid.as_observed(above_limit | _fails_soon(grid, loss, sd, limits), "hx_fouling", restart)

@@ -30,6 +30,8 @@ TOLERANCE = {
     "inlet_apart_k": 2.5,  # a blockage of 15 % shifts it by 1.5 K
     "door_apart_ln": 0.06,
 }
+INLET_SHARE = 0.7
+"""Part of the hot inlet sensor's error that its check shows: the law warms the air by the same reading. [-]"""
 TWIN_CHECKS = ("inlet_apart_k", "door_apart_ln")
 """Of the twin's flights (`hdt_core.tracking.sensor_shifts`); null before a first calibration."""
 BETWEEN_PACKS = {"outlet_between_packs_k": "outlet_above_law_k", "pack_flow_between_packs_ln": "pack_flow_ln"}

@@ -15,6 +15,7 @@ from hdt_core.records.keys import AIRCRAFT, IN_ORDER, LEG, LEG_AT, PACK
 from hdt_core.records.unit_index import number_units
 from hdt_core.tables.base import DatedLegTable, finite
 from hdt_core.tables.features import HEALTH, ExchangerMargin, Features, latest_step
+from hdt_core.tracking.sensor_shifts import CORRECTED
 
 SHORT_HORIZONS, WEAR_HORIZON = (10, 30), 100
 """Flights over which trends are taken; the rate of wear follows from the longest."""
@@ -208,7 +209,10 @@ def _jumps(columns: Sequence[str], loss: str) -> list[pl.Expr]:
     """Return recent changes of the loss: the track over ten flights; three flights less the twelve before and trend."""
     life = [*PACK, f"{_component(loss)}_life"]
     track = pl.col(loss)
-    now = pl.col(f"{loss}_flight") if f"{loss}_flight" in columns else track
+    now = track
+    if f"{loss}_flight" in columns:
+        is_corrected = (pl.col(f"{loss}_status") == CORRECTED).fill_null(False)
+        now = pl.when(~is_corrected).then(f"{loss}_flight")
     # the middles of the two windows lie eight flights apart; the trend is that of the flights before the late ones
     wear = 8.0 * pl.col(f"{loss}_slope_30_per_flight").shift(3).clip(0.0, 0.004).fill_null(0.0)
     jumps = {f"{loss}_jump_10": track - track.shift(10), f"{loss}_step_3": latest_step(now) - wear}

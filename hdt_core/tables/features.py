@@ -303,7 +303,8 @@ class _Course(Table):
     )
     hx_fouling_jump_10 = feature("hx_fouling less its value ten flights ago")
     hx_fouling_step_3 = feature(
-        "hx_fouling_flight: median of three flights less that of the twelve before, wear in between taken out"
+        "hx_fouling_flight: median of three flights less that of the twelve before, wear in between taken out; without "
+        "flights whose sensor was corrected"
     )
     ram_flow_loss_step_3 = feature(
         "ram_flow_loss: median of three flights less that of the twelve before",

@@ -16,6 +16,7 @@ from hdt_core.records.keys import IN_ORDER, split_packs
 from hdt_core.robust import MAD_TO_SD
 from hdt_core.tracking.loss_filter import Loss, TrackResult, join_tracks, track_loss
 from hdt_core.tracking.segments import SEGMENT_FLIGHTS
+from hdt_core.tracking.sensor_shifts import CORRECTED
 from hdt_core.tracking.wear_model import PACES, UNIT_SD, WEAR_STEP, Pace, Settings
 
 LEAST_STEPS = 8
@@ -95,7 +96,7 @@ def _loss(flights: pl.DataFrame, param: Param, component: Component, offset: Des
     variance = np.where(np.isfinite(wear), sd**2 + scatter_by_segment(flights, wear, sd**2) ** 2, 1.0)
     status = (
         pl.when(pl.Series(~np.isfinite(wear))).then(pl.lit("predicted"))
-        .when(pl.Series(shift_sd > 0.0)).then(pl.lit("sensor_corrected"))
+        .when(pl.Series(shift_sd > 0.0)).then(pl.lit(CORRECTED))
         .otherwise(pl.lit("ok"))
     )  # fmt: skip
     observations = (-wear - offset.shift / size, variance, np.ones_like(wear))

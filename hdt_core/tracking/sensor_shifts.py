@@ -1,7 +1,8 @@
 """Correct the conductance ratio for sensor faults that redundant sensors confirm.
 
 Redundant are the compressor's inlet flow for pack flow, the compressors' inlet temperatures for TAT, the other pack's
-exit temperature, at a constant distance while both doors can move, and climb and descent for the door's position. If
+exit temperature, at a constant distance while both doors can move, climb and descent for the door's position, and for
+the hot inlet what discharge, ram outlet and both flows make of it. If
 a difference leaves its usual level, and the conductance with it as that sensor's error would make it, the error is
 corrected. With a confirming second difference no such step is needed, so a slow drift can be corrected too: climb and
 descent have no other reason to differ from the cruise, and TAT differs from both packs' compressor inlets alike.
@@ -14,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from hdt_core.calibration.arrays import Array
-from hdt_core.flight.cross_checks import TOLERANCE
+from hdt_core.flight.cross_checks import INLET_SHARE, TOLERANCE
 from hdt_core.records.keys import join_other_pack, split_packs
 
 
@@ -22,8 +23,8 @@ class RedundantSensor(NamedTuple):
     """A sensor with a redundant one.
 
     Columns of their difference, of the ln conductance ratio's derivative by it (empty: 1), and of a confirming
-    difference (empty: none); threshold of the difference, memory [flight], and flights in a row that must depart one
-    way.
+    difference (empty: none); threshold of the difference, memory [flight], flights in a row that must depart one
+    way, the part of the sensor's error that the difference shows, and whether the sensor is sound if it is quiet.
     """
 
     difference: str
@@ -32,6 +33,8 @@ class RedundantSensor(NamedTuple):
     confirmation: str = ""
     memory: float = 40.0
     n_confirm: int = 2
+    share: float = 1.0
+    vouches: bool = True
 
 
 LONG = 200.0
@@ -43,6 +46,9 @@ REDUNDANT_SENSORS = (
     RedundantSensor("door_apart_ln", "", 0.04, "door_apart_ln", LONG, n_confirm=10),
     RedundantSensor("exit_apart_k", "ratio_per_exit_k", TOLERANCE["outlet_between_packs_k"]),
     RedundantSensor("flows_apart_ln", "ratio_per_ln_flow", TOLERANCE["pack_over_compressor_flow_ln"]),
+    # a blockage, a door or a flow that reads wrong move it too, but the conductance against it
+    # an error below its threshold moves the conductance by up to a tenth, so it vouches for nothing
+    RedundantSensor("inlet_apart_k", "ratio_per_inlet_k", TOLERANCE["inlet_apart_k"], share=INLET_SHARE, vouches=False),
     RedundantSensor("tat_apart_k", "ratio_per_tat_k", TOLERANCE["inlet_minus_tat_k"], "other_tat_apart_k", LONG),
 )
 GATE_SD = 4.0
@@ -51,6 +57,8 @@ MIN_CONFIRM, LEAST_USUAL = 2, 5
 SHARE_LOW, SHARE_HIGH = 0.4, 2.0
 SHIFT_SD = 0.15
 """Part of a correction that may be wrong."""
+CORRECTED = "sensor_corrected"
+"""Status of a loss of which a sensor's error was taken out; the flight's own estimate has it still."""
 N_SENSORS = 5
 """Sensors whose errors move the conductance ratio: hot inlet and outlet, pack flow, TAT, door position."""
 
@@ -76,12 +84,13 @@ def corrections(flights: pl.DataFrame) -> Corrections:
             continue
         difference = table[sensor.difference].to_numpy().astype(float)
         slope = table[sensor.slope].to_numpy().astype(float) if sensor.slope else np.ones(n)
+        slope = slope / sensor.share
         column = sensor.confirmation
         confirmation = table[column].to_numpy().astype(float) if column else np.full(n, np.nan)
         for rows in split_packs(flights):
             series = (values[rows].tolist() for values in (difference, slope, ratio - total.shift, confirmation))
             shift, is_quiet = map(np.array, _follow_difference(sensor, *series))
-            total.unchecked[rows] -= is_quiet / N_SENSORS
+            total.unchecked[rows] -= is_quiet * sensor.vouches / N_SENSORS
             total.shift[rows] += shift
             total.variance[rows] += (SHIFT_SD * shift) ** 2
             total.fault[rows] |= shift != 0.0

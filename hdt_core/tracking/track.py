@@ -20,7 +20,7 @@ from hdt_core.records.keys import IN_ORDER, PACK
 from hdt_core.robust import median_error
 from hdt_core.tracking.component import DesignOffset, scatter_by_segment, wear_settings
 from hdt_core.tracking.loss_filter import Loss, TrackResult, filtered, health_rows, join_tracks, track_loss
-from hdt_core.tracking.sensor_shifts import Corrections, corrections
+from hdt_core.tracking.sensor_shifts import CORRECTED, Corrections, corrections
 from hdt_core.tracking.undone_work import without_undone
 from hdt_core.tracking.wear_model import FAULT_CHANCE, Settings
 
@@ -96,7 +96,7 @@ def exchanger_loss(flights: pl.DataFrame, faults: Corrections, dsm: Dsm, part: C
     exposure = np.nan_to_num(flights["ua_expected_w_k"].to_numpy().astype(float) / dsm.reference_ua_w_k, nan=1.0)
     status = (
         pl.when(pl.col("ln_ua_ratio").is_null()).then(pl.lit("predicted"))
-        .when(pl.Series(faults.fault)).then(pl.lit("sensor_corrected"))
+        .when(pl.Series(faults.fault)).then(pl.lit(CORRECTED))
         .otherwise("status")
     )  # fmt: skip
     settings = Settings(dsm.clean_level, dsm.clean_level_sd, dsm.offset_sd)

@@ -96,6 +96,17 @@ def test_repaired_sensor_starts_anew():
     assert mach_cases(work_before(50, "SENSOR"), **SHIFTED) == []
 
 
+INLET = {"w_hx_in_over_discharge_k": -7.0 * LATE + 0.7 * np.random.default_rng(8).standard_normal(FLIGHTS)}
+INLET["hx_fouling_flight"] = 0.08 * LATE + 0.016 * np.random.default_rng(9).standard_normal(FLIGHTS)
+"""Checks of a hot inlet that reads 10 K low from flight 50 on."""
+
+
+@pytest.mark.parametrize(("component", "closed"), [("HX", None), ("SENSOR", 70)])
+def test_wash_repairs_no_sensor(component, closed):
+    (case,) = mach_cases(work_before(70, component), **INLET)
+    assert (case.facts["sensor"], case.closed_flight) == ("hx_in_k", closed)
+
+
 @pytest.mark.parametrize(("silent", "kinds"), [(range(55, 60), ["dropout"]), (range(20, 24), ["dropout", "shift"])])
 def test_shift_echoing_silence_is_dropped(silent, kinds):
     cases = mach_cases(**SHIFTED, cc_in_k_lost_share=np.where(np.isin(FLIGHT, silent), 0.9, 0.0))

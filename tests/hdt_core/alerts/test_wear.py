@@ -130,6 +130,13 @@ def test_loss_rise_excludes_doubtful_flights(sick_until, n_cases):
     assert len(fouling(0.0, hx_fouling_flight=alone, sick=(FLIGHT >= 50) & (sick_until > FLIGHT))) == n_cases
 
 
+@pytest.mark.parametrize(("status", "n_cases"), [("ok", 1), ("sensor_corrected", 0)])
+def test_loss_rise_excludes_corrected_flights(status, n_cases):
+    """The flight's own loss has the sensor's error still."""
+    alone = np.where(FLIGHT >= 50, 0.25, 0.05)
+    assert len(fouling(0.0, hx_fouling_flight=alone, hx_fouling_status=status)) == n_cases
+
+
 @pytest.mark.parametrize(
     ("loss", "flights", "passage", "raised"),
     [

@@ -139,6 +139,16 @@ def test_single_flights_step_first(nothing_done, name, share):
     assert out[name].to_list()[-3:] == pytest.approx([0.0, 0.0, 0.2 * share])
 
 
+def test_corrected_sensor_makes_no_step(nothing_done):
+    """The flight's own loss has the sensor's error still."""
+    status = pl.when(pl.int_range(20) >= 17).then(pl.lit("sensor_corrected")).otherwise(pl.lit("ok"))
+    long = health(np.full(20, 0.1)).with_columns(status=status)
+    loss = np.where(np.arange(20) >= 16, 0.3, 0.1)
+    alone = twin_rows(long).with_columns(ln_ua_ratio=np.log(1.0 - loss))
+    step = describe_track(long, nothing_done, twin_flights=alone)["hx_fouling_step_3"].to_list()
+    assert step[-5:] == pytest.approx([0.0, 0.0, 0.1, None, None])
+
+
 def test_new_unit_restarts_steps(replacement_log):
     """A step needs four flights before the last three."""
     long = health(np.full(60, 0.1))

@@ -9,7 +9,7 @@ from hdt_core.tracking.sensor_shifts import Corrections, corrections
 QUIET = [0.0] * 10
 SLOPES = {
     "exit_apart_k": ("ratio_per_exit_k", -0.05), "flows_apart_ln": ("ratio_per_ln_flow", 0.8),
-    "tat_apart_k": ("ratio_per_tat_k", 0.026),
+    "tat_apart_k": ("ratio_per_tat_k", 0.026), "inlet_apart_k": ("ratio_per_inlet_k", 0.014),
 }  # fmt: skip
 
 
@@ -35,6 +35,20 @@ def shift(column: str, departures: list[float], ratios: list[float], before: lis
 each_sensor = pytest.mark.parametrize(
     ("column", "least", "size"), [("exit_apart_k", 1.2, -0.05), ("flows_apart_ln", 0.03, 0.8)]
 )
+
+
+def test_inlet_shows_seven_tenths_of_its_error():
+    """An inlet that reads 10 K too cold shows 7 K; the ratio falls by .14."""
+    np.testing.assert_allclose(shift("inlet_apart_k", [-7.0] * 3, [-0.14] * 3), [0.0, -0.14, -0.14])
+
+
+def test_blockage_is_not_taken_for_inlet():
+    """It moves the inlet's law up, and the ratio down; an inlet that reads too warm would move the ratio up."""
+    assert shift("inlet_apart_k", [4.0] * 3, [-0.3] * 3) == [0.0] * 3
+
+
+def test_quiet_inlet_vouches_for_nothing():
+    np.testing.assert_allclose(corrections(flights("inlet_apart_k", QUIET, QUIET)).unchecked, 1.0)
 
 
 @each_sensor
