@@ -121,8 +121,8 @@ OUTLET_CHECKS = ("hx_out_minus_target_k", "hx_out_between_packs_k")
 """Checks that a faulty door of either pack shifts as well as a faulty sensor."""
 BEHIND_DOOR = ("hx_in_over_discharge_k", "hx_in_over_pressure_k", "conductance_off_cruise_ln")
 """Checks whose laws do not cover the openings of a jammed door."""
-NEW_WITH = {"HX": BEHIND_DOOR, "CC": ("hx_in_over_pressure_k",)}
-"""Checks whose level changes when a part is replaced or washed: its ram side, its efficiency."""
+NEW_WITH = {"HX": BEHIND_DOOR, "CC": ("hx_in_over_discharge_k", "hx_in_over_pressure_k")}
+"""Checks whose level changes when a part is replaced or washed: its ram side, its efficiency (by up to 1.9 K)."""
 OUTLET_JUMP_SIGMA, OUTLET_JUMP_PERSISTENCE = 2.5, (2, 3, 10)
 """Jump of the outlets' difference that puts both in doubt [sigma], on how many of how many flights, for how long."""
 LEAST_USABLE_FLIGHTS, LEAST_EMPTY_READINGS = 3, 4

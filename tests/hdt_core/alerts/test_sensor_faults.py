@@ -243,7 +243,8 @@ def watch_calls(monkeypatch) -> list[tuple[np.ndarray, np.ndarray]]:
     [
         ("HX", "hx_in_over_discharge_k", [50]), ("HX", "hx_in_over_pressure_k", [50]),
         ("HX", "conductance_off_cruise_ln", [50]), ("HX", "inlet_minus_tat_k", []),
-        ("CC", "hx_in_over_pressure_k", [50]), ("CC", "hx_in_over_discharge_k", []),
+        ("CC", "hx_in_over_pressure_k", [50]), ("CC", "hx_in_over_discharge_k", [50]),
+        ("CC", "conductance_off_cruise_ln", []),
         ("RAM_DOOR", "hx_out_minus_target_k", [50]), ("RAM_DOOR", "inlet_minus_tat_k", []),
     ],
 )  # fmt: skip
