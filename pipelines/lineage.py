@@ -214,7 +214,7 @@ STAGES = (
         ), code="13", fresh="features",
     ),
     declare_stage(
-        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="27",
+        "features_alerts", "features", "features_alerts", parents=("features",), settings=("limits",), code="28",
     ),
     declare_stage(  # after the alerts, whose stage notes in the log which case goes on with which of them
         "raw_cases", "features", "raw_cases", parents=("features_alerts",), files=("cases",), code="2",

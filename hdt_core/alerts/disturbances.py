@@ -175,11 +175,15 @@ def _dropout_cases(grid: Grid, sensor: str, unusable: Array, restart: Array, lim
     """Yield the cases of a sensor that is frozen or empty in many of its readings."""
     lost_share = grid.values(f"{sensor}_lost_share")
     still = grid.flags(f"{sensor}_still")
+    of_other_pack = grid.across(unusable)
     keep = lost_share > limits.lost_share / 3.0
     active = persistent(unusable, *limits.dropout_persistence, keep=keep, restart=restart)
     for unit, first, end in runs(active, restart):
         kind = "frozen" if still[unit, first] or lost_share[unit, first] > 0.95 else "dropout"
-        facts = {"sensor": sensor, "kind": kind, "since": max(first - 1, 0), "share": float(lost_share[unit, first])}
+        facts = {
+            "sensor": sensor, "kind": kind, "since": max(first - 1, 0), "share": float(lost_share[unit, first]),
+            "whose": "both" if of_other_pack[unit, first] else "own",
+        }  # fmt: skip
         yield Case(unit, "SENSOR", "SENSOR_FAULT", first, end, facts)
 
 

@@ -28,6 +28,7 @@ SENSOR_FITS = Phrase("the pattern over all cross checks fits this sensor with pr
 BOTH_SENSORS = Phrase(
     "on the other pack the same sensor moved with it: one change of scale, map or software, not two faults"
 )
+BOTH_LOST = Phrase("the other pack lost the same sensor with it: one fault of recorder, map or export, not two sensors")
 SENSOR_ELSE = Phrase("another sensor of the same checks; wear leaves them alone")
 SENSOR_COSTS = Phrase("Until it is replaced the pack's health is judged without it, and less surely")
 SENSOR_NAMED = Phrase("; sensor: {sensor}")
@@ -97,12 +98,13 @@ def sensor(facts: SensorFacts, since: str) -> Evidence:
     if facts.kind == CONTRADICTED:
         return _contradiction(facts, since)
     name = phrases.plain_name(facts.sensor)
+    lost_too = (Corroboration(SUPPORTS, BOTH_LOST),) if _is_of_both_packs(facts) else ()
     if facts.kind == "dropout":
         finding = Text(DROPOUT, sensor=name, share=percent(facts.share), since=since)
-        return Evidence((finding,), (), DROPOUT_ELSE, SENSOR_COSTS)
+        return Evidence((finding,), lost_too, DROPOUT_ELSE, SENSOR_COSTS)
     if facts.kind == "frozen":
         finding = Text(FROZEN, sensor=name, since=since)
-        return Evidence((finding,), (), FROZEN_ELSE, SENSOR_COSTS)
+        return Evidence((finding,), lost_too, FROZEN_ELSE, SENSOR_COSTS)
     finding = Text(
         SENSOR_SHIFT,
         sensor=name,

@@ -60,7 +60,8 @@ def test_sensor_work_closes_dropout():
 @pytest.mark.parametrize(("share", "kind"), [(0.951, "frozen"), (0.949, "dropout")])
 def test_nearly_empty_sensor_is_frozen(share, kind):
     (case,) = mach_cases(empty_share=empty(share))
-    assert case.facts == {"sensor": "mach", "kind": kind, "since": 30, "share": pytest.approx(share)}
+    facts = {"sensor": "mach", "kind": kind, "since": 30, "whose": "own"}
+    assert case.facts == facts | {"share": pytest.approx(share)}
 
 
 def test_still_sensor_is_frozen():
@@ -150,6 +151,13 @@ def test_common_probe_is_case_of_both():
 
 def test_own_sensor_is_case_of_one():
     assert cases_of_both(checks() | RUNNING, FLOW_SHIFTED) == [(0, "pack_flow_kg_s", "own")]
+
+
+@pytest.mark.parametrize(("of_second", "whose"), [(empty(0.9), "both"), (empty(0.9, 34), "own")])
+def test_sensor_lost_by_both_is_one_cause(of_second, whose):
+    """On the flight that raises it; a second sensor that fails days later is another."""
+    lost = [RUNNING | {"hx_in_k_lost_share": share} for share in (of_second, empty(0.9))]
+    assert (0, "hx_in_k", whose) in cases_of_both(*lost)
 
 
 def test_common_flow_change_is_one_cause():
