@@ -68,7 +68,7 @@ class CoalescingEventLog(SqlEventLogStorage):
     def _store(self, groups: Sequence[EventGroup]) -> None:
         """Store groups together."""
 
-    def _index(self) -> AbstractContextManager[Connection]:
+    def transaction(self) -> AbstractContextManager[Connection]:
         """Open a transaction on the index of all runs, which stock's own methods join."""
         return self.index_connection()
 
@@ -136,7 +136,7 @@ class CoalescingEventLog(SqlEventLogStorage):
     def _write_index(self, groups: Sequence[EventGroup]) -> None:
         """Write groups into the index with their tags; of each asset the newest of a type counts."""
         newest: dict[tuple[Any, DagsterEventType | None], tuple[EventLogEntry, int]] = {}
-        with self._index() as conn:
+        with self.transaction() as conn:
             for one in groups:
                 event_id = self._insert(conn, one)
                 kind = one.event.dagster_event_type
@@ -216,7 +216,7 @@ class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
         index = Path(base_dir) / f"{INDEX_SHARD_NAME}.db"
         if not index.exists():
             index.parent.mkdir(parents=True, exist_ok=True)
-            _write_new_file(index, _blank(_PAGE_BYTES))
+            _write_new_file(index, _blank(_PAGE_BYTES, "incremental"))
         super().__init__(base_dir, inst_data)
         # a process that was killed while making the index leaves a file without tables, which stock accepts
         self._engine(INDEX_SHARD_NAME)
@@ -317,10 +317,11 @@ class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
         return first + len(others)
 
 
-def _blank(page_bytes: int) -> bytes:
-    """Make a database without tables, with pages of that size."""
+def _blank(page_bytes: int, auto_vacuum: str = "none") -> bytes:
+    """Make a database without tables, with pages of that size; an incremental one can return free pages one by one."""
     with closing(sqlite3.connect(":memory:")) as con:
         con.execute(f"pragma page_size = {page_bytes}")
+        con.execute(f"pragma auto_vacuum = {auto_vacuum}")
         con.execute("vacuum")
         return con.serialize()
 

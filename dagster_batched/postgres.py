@@ -54,7 +54,7 @@ class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage
         self._write_index(groups)
 
     @contextmanager
-    def _index(self) -> Iterator[Connection]:
+    def transaction(self) -> Iterator[Connection]:
         """Open a transaction; stock's engine commits every statement on its own."""
         with self._engine.connect() as conn, conn.execution_options(isolation_level="READ COMMITTED").begin():
             self._open.conn = conn

@@ -5,7 +5,6 @@ import os
 import sys
 import uuid
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ from dagster._core.storage.tags import (
 )
 from dagster._core.types.loadable_target_origin import LoadableTargetOrigin
 
-from dagster_batched.event_log import BatchedSqliteEventLogStorage, CoalescingEventLog
+from dagster_batched.event_log import CoalescingEventLog
 from dagster_batched.partitions import make_keys_quickly, skip_input_versions
 
 BATCH_EVENTS = 1000
@@ -50,6 +49,10 @@ event_log_storage:
   class: BatchedSqliteEventLogStorage
   config:
     base_dir: {history}
+retention:  # of what the daemon looked at; runs are another matter (`dagster_batched.history`)
+  schedule: {{purge_after_days: {days}}}
+  sensor: {{purge_after_days: {days}}}
+  auto_materialize: {{purge_after_days: {days}}}
 """
 
 
@@ -58,7 +61,7 @@ def batch_events() -> None:
     os.environ.setdefault("DAGSTER_EVENT_BATCH_SIZE", str(BATCH_EVENTS))
 
 
-def open_instance(base: Path, mark: str, note: str) -> dg.DagsterInstance:
+def open_instance(base: Path, mark: str, note: str, history_days: int = 90) -> dg.DagsterInstance:
     """Open the instance of a folder; a `dagster.yaml` there that does not begin with `mark` is used unchanged.
 
     Parameters
@@ -67,6 +70,8 @@ def open_instance(base: Path, mark: str, note: str) -> dg.DagsterInstance:
         Absolute folder; it is created where it is missing, and may have been moved.
     mark, note : str
         First line of the settings that are written here: by whom, and a note about them.
+    history_days : int
+        Days for which the daemon keeps what schedules and sensors did. [days]
     """
     batch_events()
     skip_input_versions()
@@ -74,7 +79,7 @@ def open_instance(base: Path, mark: str, note: str) -> dg.DagsterInstance:
     base.mkdir(parents=True, exist_ok=True)
     history = yaml.safe_dump(f"{base}/history", default_style='"', width=math.inf).rstrip()
     settings = base / "dagster.yaml"
-    ours = _SETTINGS.format(history=history, mark=mark, note=note)
+    ours = _SETTINGS.format(history=history, mark=mark, note=note, days=history_days)
     written = settings.read_text() if settings.exists() else ""
     if written != ours and (written.startswith(mark) or not written):  # a kill of an older version left it empty
         _replace_text(settings, ours)
@@ -151,7 +156,7 @@ def submit(instance: dg.DagsterInstance, run: dg.DagsterRun) -> None:
 def finished_runs(instance: dg.DagsterInstance, run_ids: Collection[str]) -> list[dg.DagsterRun]:
     """Select runs that have finished, for good or with a retry that replaces them (`successor`)."""
     runs = instance.get_runs(dg.RunsFilter(run_ids=list(run_ids), statuses=FINISHED_STATUSES))
-    return [run for run in runs if not _may_retry(instance, run)]
+    return [run for run in runs if not may_retry(instance, run)]
 
 
 def successor(run: dg.DagsterRun) -> str | None:
@@ -163,10 +168,10 @@ def is_active(instance: dg.DagsterInstance, tags: dict[str, str]) -> bool:
     """Return whether a run with these tags may still write."""
     retrying = dg.RunsFilter(statuses=[dg.DagsterRunStatus.FAILURE], tags=tags | {WILL_RETRY_TAG: "true"})
     active = instance.get_runs(dg.RunsFilter(statuses=_ACTIVE, tags=tags), limit=1)
-    return bool(active) or any(_may_retry(instance, run) for run in instance.get_runs(retrying))
+    return bool(active) or any(may_retry(instance, run) for run in instance.get_runs(retrying))
 
 
-def _may_retry(instance: dg.DagsterInstance, run: dg.DagsterRun) -> bool:
+def may_retry(instance: dg.DagsterInstance, run: dg.DagsterRun) -> bool:
     """Return whether a failed run has a retry that Dagster has yet to decide on or to start."""
     if run.status != dg.DagsterRunStatus.FAILURE or not instance.run_retries_enabled:
         return False
@@ -221,24 +226,3 @@ class CheckBeforeStorage(dg.AssetCheckResult):
 
     def _get_target_materialization_data(self, *_: Any) -> None:
         return None
-
-
-def delete_runs(instance: dg.DagsterInstance, before: datetime) -> int:
-    """Delete runs that ended before a time, with their events; their number.
-
-    Cells without a later run then show as not materialized; what is stored and stale is in the ledger.
-    """
-    run_filter = dg.RunsFilter(statuses=list(FINISHED_STATUSES), updated_before=before)
-    runs = instance.get_runs(run_filter)
-    log = instance.event_log_storage
-    for run in runs:
-        instance.delete_run(run.run_id)
-        if isinstance(log, BatchedSqliteEventLogStorage):
-            _remove(Path(log.path_for_shard(run.run_id)))
-    return len(runs)
-
-
-def _remove(shard: Path) -> None:
-    """Delete a run's own file, and SQLite's files beside it."""
-    for end in ("", "-wal", "-shm"):
-        shard.with_name(shard.name + end).unlink(missing_ok=True)

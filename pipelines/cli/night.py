@@ -25,7 +25,7 @@ from pipelines.cli.base import (
     stop_at_once,
 )
 from pipelines.orchestration.local_executor import cores
-from pipelines.storage.settings import MAX_DAYS
+from pipelines.storage.settings import MAX_DAYS, retention
 
 if TYPE_CHECKING:
     from pipelines.report.rows import UnitRow
@@ -125,25 +125,29 @@ def backfill(
 def tidy(
     home: HomeDir = None,
     keep_days: Annotated[
-        int, typer.Option("--keep-days", min=0, max=MAX_DAYS, help="Keep runs younger than this. [days]")
-    ] = 90,
+        int | None,
+        typer.Option("--keep-days", min=0, max=MAX_DAYS, help="Keep runs younger than this; the home's. [days]"),
+    ] = None,
 ) -> None:
-    """Delete old runs, or a damaged file, of Dagster's history.
+    """Delete all old runs, or a damaged file, of Dagster's history at once, and make its files as small as they can be.
 
-    Tables are not touched and nothing is computed again; cells that only those runs computed appear as not materialized
-    on Dagster's page.
+    A night deletes some. Tables are not touched, nothing is computed again, and Dagster's page shows the same cells as
+    materialized.
     """
-    from dagster_batched.runs import delete_runs
+    from dagster_batched.history import compact_files, forget_runs
     from pipelines.orchestration.around_night import lock_home
     from pipelines.orchestration.runs import open_instance
     from pipelines.repair import replace_damaged_history
 
     where = home_folder(home)
+    days = retention(where).dagster_history_days if keep_days is None else keep_days
     with lock_home(where):
         if message := replace_damaged_history(where):
             out.print(message)
     with lock_home(where), open_instance(where) as instance:
-        runs = delete_runs(instance, dt.datetime.now(dt.UTC) - dt.timedelta(days=keep_days))
+        before = dt.datetime.now(dt.UTC) - dt.timedelta(days=days)
+        runs = sum(iter(lambda: forget_runs(instance, before), 0))
+        compact_files(instance)
     out.print(f"{runs} runs deleted")
 
 

@@ -108,7 +108,8 @@ def complete_night(
             fault = _publish(home, night, parent_run)
             results, failed = call_hooks(home)
             night = replace(night, hook_results=results, failed_hooks=failed)
-            return replace(night, failed_deliveries=notify_receivers(home)), fault
+            night = replace(night, failed_deliveries=notify_receivers(home))
+            return replace(night, failed_hooks=(*failed, *_shorten_history(home, night, parent_run))), fault
     except DamageError:
         if first_attempt:
             raise
@@ -126,6 +127,16 @@ def _publish(home: Path, night: Night, parent_run: OpExecutionContext | None) ->
     if fault:
         publish(home)
     return fault
+
+
+def _shorten_history(home: Path, night: Night, parent_run: OpExecutionContext | None) -> tuple[str, ...]:
+    """Forget old runs, unless the night was idle: it has not loaded Dagster."""
+    instance = parent_run.instance if parent_run else night.instance
+    if instance is None:
+        return ()
+    from pipelines.orchestration.history import forget_old_runs
+
+    return forget_old_runs(home, instance, night.cells)
 
 
 def run_night(

@@ -38,7 +38,7 @@ from pipelines.resources import AIRCRAFT, FLIGHTS, NIGHT, aircraft_key, aircraft
 from pipelines.storage.ledger import Ledger
 from pipelines.storage.objects import StoreError
 from pipelines.storage.publication import publish
-from pipelines.storage.settings import dagster_settings
+from pipelines.storage.settings import dagster_settings, retention
 
 # a line on the console for every event would cost more than storing it; the run's page has them all
 _QUIET = {"loggers": {"console": {"config": {"log_level": "CRITICAL"}}}}
@@ -61,13 +61,14 @@ def open_instance(home: Path) -> dg.DagsterInstance:
     Raises
     ------
     StoreError
-        Dagster can't use that file; one line.
+        Dagster can't use that file, or the home's retention is wrong; one line.
     """
     text = dagster_settings(home)
+    days = retention(home).dagster_history_days
     try:
         if not isinstance(yaml.safe_load(text), dict | None):
             raise yaml.YAMLError("it is no mapping")
-        return open_instance_in(home.resolve() / "dagster", _CONFIG_MARK, _CONFIG_NOTE)
+        return open_instance_in(home.resolve() / "dagster", _CONFIG_MARK, _CONFIG_NOTE, days)
     except (yaml.YAMLError, dg.DagsterInvalidConfigError) as error:
         reason = " ".join(str(error).split())[:300]
         raise StoreError(f"{home / 'dagster/dagster.yaml'} can't be used: {reason}") from None

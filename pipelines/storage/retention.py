@@ -23,7 +23,7 @@ from pipelines.storage.store import Store
 
 MARKER = ".upkeep"
 _EVERY_S = 20 * 3600
-_LONGEST_STEP_DAYS = 30  # from one night to the next; more is a clock that jumped, or a home long at rest
+LONGEST_STEP_DAYS = 30  # from one night to the next; more is a clock that jumped, or a home long at rest
 _COMMITS = 20  # between two checkpoints, from which a log is read on
 
 
@@ -43,7 +43,7 @@ def remove_expired(store: Store, ledger: Ledger, policy: Retention) -> None:
     Nothing goes where the clock has jumped within the last `CYCLE` nights: by a wrong one every night is too old.
     """
     nights = ledger.snapshots()
-    if has_jumped([*nights][-CYCLE:], max(policy.keep_days, _LONGEST_STEP_DAYS)):
+    if has_jumped([*nights][-CYCLE:], max(policy.keep_days, LONGEST_STEP_DAYS)):
         return
     first = (datetime.now(UTC) - timedelta(days=policy.keep_days)).isoformat()
     protected_nights = {

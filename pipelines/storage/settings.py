@@ -228,24 +228,31 @@ def notify_file(home: Path) -> Path:
 
 @dataclass(frozen=True)
 class Retention:
-    """Days that replaced files are kept, and nights that are kept beyond that."""
+    """Days that replaced files are kept, nights that are kept beyond that, and days of Dagster's history of runs."""
 
     keep_days: int = 30
     hold: tuple[str, ...] = ()
+    dagster_history_days: int = 90
 
 
 def retention(home: Path) -> Retention:
     """Read the retention that the home declares."""
     file = home / "retention.toml"
-    values = read_values(file, ("keep_days", "hold"))
-    days = values.get("keep_days", 30)
+    values = read_values(file, [f.name for f in fields(Retention)])
     nights = values.get("hold", [])
-    if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= MAX_DAYS:
-        raise StoreError(f"{file}: keep_days is {days!r:.40} and ought to be a whole number from 1 to {MAX_DAYS}")
     prefixes = [night_prefix(str(n)) for n in nights] if isinstance(nights, list) else [None]
     if None in prefixes:
         raise StoreError(f"{file}: hold is {nights!r:.80} and ought to be a list of nights such as '2024-03-01'")
-    return Retention(days, tuple(p for p in prefixes if p))
+    hold = tuple(p for p in prefixes if p)
+    return Retention(_days(file, values, "keep_days"), hold, _days(file, values, "dagster_history_days"))
+
+
+def _days(file: Path, values: dict[str, Any], name: str) -> int:
+    """Return a number of days, the default where the file sets none."""
+    days = values.get(name, getattr(Retention, name))
+    if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= MAX_DAYS:
+        raise StoreError(f"{file}: {name} is {days!r:.40} and ought to be a whole number from 1 to {MAX_DAYS}")
+    return days
 
 
 def night_prefix(text: str) -> str | None:
