@@ -2,8 +2,7 @@
 
 Dagster's own `delete_run` deletes a run's materializations, too: cells that no later run made then show as missing, and
 a backfill of missing cells makes them again. Here the last materialization of each partition remains in the index under
-its id, as an event of no run, with its time and metadata and without what it was made of. A run that holds the last
-state of anything remains whole.
+its id, as an event of no run, with its time and no more. A run that holds the last state of anything remains whole.
 
 Every step can be repeated. A run is deleted from the list of runs last, so a killed process leaves it to the next.
 """
@@ -105,7 +104,7 @@ def _transaction(log: SqlEventLogStorage) -> AbstractContextManager[Connection]:
 
 def _expired_runs(instance: dg.DagsterInstance, log: SqlEventLogStorage, before: datetime) -> list[dg.DagsterRun]:
     """List runs that ended before a time and hold the last state of nothing, the oldest first."""
-    needed = _needed_runs(log)
+    needed = _needed_runs(instance, log)
     backfills = _active_backfills(instance)
     records = instance.get_run_records(
         dg.RunsFilter(statuses=list(FINISHED_STATUSES), updated_before=before),
@@ -123,21 +122,21 @@ def _active_backfills(instance: dg.DagsterInstance) -> set[str]:
     return {b.backfill_id for b in instance.get_backfills(BulkActionsFilter(statuses=active))}
 
 
-def _needed_runs(log: SqlEventLogStorage) -> set[str]:
+def _needed_runs(instance: dg.DagsterInstance, log: SqlEventLogStorage) -> set[str]:
     """List the last runs of assets and of checks, and those whose partitions show as failed."""
     newest_checks = select(func.max(_checks.c.id)).group_by(_checks.c.asset_key, _checks.c.check_name)
     planned = and_(_events.c.dagster_event_type == _PLANNED, _events.c.partition.is_not(None))
     with log.index_connection() as conn:
-        assets = conn.execute(select(AssetKeyTable.c.last_run_id, AssetKeyTable.c.last_materialization)).all()
         checks = conn.execute(select(_checks.c.run_id).where(_checks.c.id.in_(newest_checks))).scalars().all()
         planned_assets = conn.execute(select(_events.c.asset_key).where(planned).distinct()).scalars().all()
-    needed = {run_id for run_id, _ in assets if run_id} | {*checks}
-    needed |= {json.loads(event)["run_id"] for _, event in assets if event}
+    needed = {*checks}
+    for asset in (record.asset_entry for record in instance.get_asset_records()):
+        needed |= {asset.last_run_id, asset.last_materialization.run_id if asset.last_materialization else None}
     for key in map(dg.AssetKey.from_db_string, planned_assets):
         if key is not None:
             attempts = log.get_latest_asset_partition_materialization_attempts_without_materializations(key)
             needed |= {run_id for run_id, _ in attempts.values()}
-    return needed
+    return {run_id for run_id in needed if run_id}
 
 
 def _clear_index(log: SqlEventLogStorage, run_id: str, most: int) -> int:
@@ -187,11 +186,11 @@ def _short_events_before(conn: Connection, own: ColumnElement[bool]) -> list[int
 
 
 def _short_row(row: Any) -> dict[str, Any]:
-    """Return the row of an event of no run that has a materialization's id, time, partition and metadata."""
+    """Return the row of an event of no run that has a materialization's id, time and partition."""
     content = json.loads(row.event)
     event = content["dagster_event"]
     whole = event["event_specific_data"]["materialization"]
-    materialization = {name: whole[name] for name in ("__class__", "asset_key", "metadata_entries", "partition")}
+    materialization = {name: whole[name] for name in ("__class__", "asset_key", "partition")}
     short = {
         "__class__": content["__class__"],
         "dagster_event": {

@@ -190,7 +190,7 @@ APART_S = 0.001
 
 
 class Other(NamedTuple):
-    """An event of a group beside its first: partition, Dagster's own text, tags, time."""
+    """An event of a group beside its first: partition, Dagster's own text, tags of its dimensions, time."""
 
     partition: str
     event: str
@@ -224,7 +224,7 @@ class EventGroup:
                 values = {key: _quoted(value) for key, value in own.items()} | {
                     "partition": _quoted(partition), "timestamp": repr(then_s), _NUMBERS: self._numbers(i)
                 }  # fmt: skip
-                yield Other(partition, pattern % values, self.tags and {**self.tags, **own}, _table_time(then_s))
+                yield Other(partition, pattern % values, own, _table_time(then_s))
 
     def _pattern(self) -> str:
         """Turn the first event's text into a template for the others."""
@@ -244,6 +244,7 @@ class EventGroup:
 
 _NUMBERS = "numbers"
 _ENTRY = '{"__class__":"EventMetadataEntry","label":%s,"entry_data":{"__class__":"IntMetadataEntryData","value":%d}}'
+_INPUT_TAGS = "dagster/input_"  # versions of whole inputs, the same for all cells of a run
 _FIRST_ONLY = ("step_handle", "solid_handle", "message", "logging_tags", "pid", "step_kind_value")
 """Fields of an event that Dagster accepts as missing; the step's key is in the row too."""
 
@@ -260,6 +261,8 @@ def _without_details(event: str) -> dict[str, Any]:
     materialization = content["dagster_event"]["event_specific_data"].get("materialization")
     if materialization:
         materialization["metadata_entries"] = _NUMBERS
+        tags = materialization.get("tags") or {}
+        materialization["tags"] = {k: v for k, v in tags.items() if not k.startswith(_INPUT_TAGS)}
         content["dagster_event"]["event_specific_data"] = {
             "__class__": "StepMaterializationData",
             "materialization": {k: v for k, v in materialization.items() if v is not None},

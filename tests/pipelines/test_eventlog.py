@@ -132,7 +132,7 @@ def shape(log: Log):
         "asset_keys": "select asset_key, last_materialization is not null, last_run_id is not null, wipe_timestamp"
         " from asset_keys",
         "asset_event_tags": "select asset_key, key, count(*), count(distinct event_id) from asset_event_tags"
-        " group by 1, 2",
+        " where key <> 'dagster/data_version' group by 1, 2",
         "asset_check_executions": "select asset_key, check_name, partition, execution_status, count(*)"
         " from asset_check_executions group by 1, 2, 3, 4",
         "dynamic_partitions": "select partitions_def_name, partition from dynamic_partitions",
@@ -152,6 +152,8 @@ def bare(event: str) -> str:
     record["dagster_event"] = {k: v for k, v in record["dagster_event"].items() if k not in once}
     data = record["dagster_event"]["event_specific_data"]
     data["materialization"]["metadata_entries"] = []
+    tags = data["materialization"]["tags"].items()
+    data["materialization"]["tags"] = {k: v for k, v in tags if not k.startswith("dagster/input_")}
     data["materialization"] = {k: v for k, v in data["materialization"].items() if v}
     record["dagster_event"]["event_specific_data"] = {k: v for k, v in data.items() if v}
     return json.dumps(record)
