@@ -261,4 +261,4 @@ def _return_pages(index: Path) -> None:
         (free,), (pages,) = (con.execute(f"pragma {name}").fetchone() for name in ("freelist_count", "page_count"))
         surplus = min(free - pages // _SPARE_SHARE, _PAGES_AT_ONCE)
         if surplus > 0:
-            con.execute(f"pragma incremental_vacuum({surplus})").fetchall()
+            con.executescript(f"pragma incremental_vacuum({surplus})")  # `execute` would return one page

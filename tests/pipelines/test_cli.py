@@ -229,9 +229,10 @@ def test_tidy_changes_no_table(own_home):
     assert hdt("tidy", "--home", home).stdout == "0 runs deleted\n"
     done = hdt("tidy", "--home", home, "--keep-days", "0")
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout.split()[0]) > 5
+    assert int(done.stdout.split()[0]) > 0
     left = {f.name.split(".")[0] for f in (home / "dagster" / "history").glob("*.db*")}
-    assert left == {"index", "runs"}
+    assert left > {"index", "runs"}
+    assert len(left) < len(shards), "only the last run of each table is left"
     assert hdt_json("nightly", "--landing", landing, "--home", home)["runs"] == 0
     assert fingerprint(home) == before
 

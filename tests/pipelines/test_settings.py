@@ -59,6 +59,7 @@ PORTS = ("-1", "0", "65536", "99999999999", "nan", "true", "'x'")
 COSTS = ("-1", "1" + "0" * 400, "1e300", "nan", "inf", "true", "'x'", "[]")
 WRONG = [
     *((retention, "retention.toml", f"keep_days = {value}", r"retention\.toml") for value in ABSURD),
+    *((retention, "retention.toml", f"dagster_history_days = {value}", "dagster_history_days is") for value in ABSURD),
     *((retention, "retention.toml", f"hold = {value}", r"retention\.toml: hold") for value in NIGHTS),
     *((receivers_of, "notify.toml", f"{MAIL}port = {value}", "port") for value in PORTS),
     *((receivers_of, "notify.toml", text, r"notify\.toml") for text in RECEIVERS),
@@ -87,9 +88,10 @@ def test_retention_lasts_thirty_days(tmp_path):
             'keep_days = 400\nhold = ["2024-03-01", "2024-05-01"]',
             Retention(400, ("2024-03-01", "2024-05-01")),
         ),
+        ("dagster_history_days = 400", Retention(dagster_history_days=400)),
         ("hold = [2024-03-01, '2024-03-02T04:00']", Retention(30, ("2024-03-01", "2024-03-02T04:00"))),
     ],
-    ids=["days", "date of TOML"],
+    ids=["days", "days of history", "date of TOML"],
 )
 def test_home_sets_retention(tmp_path, text, expected):
     (tmp_path / "retention.toml").write_text(text)
@@ -132,7 +134,7 @@ def test_bad_toml_is_refused(tmp_path, name, read, error, text):
 
 
 @pytest.mark.parametrize(("name", "text"), [
-    ("retention.toml", "keep_days = 99999999999"),
+    ("retention.toml", "keep_days = 99999999999"), ("retention.toml", "dagster_history_days = 0"),
     ("estimators.toml", "HX = 'magic'"), ("notify.toml", "receiver = 1"), ("terms.txt", "none"),
 ])  # fmt: skip
 def test_wrong_setting_stops_the_night(sample_landing, tmp_path, name, text):
