@@ -59,7 +59,7 @@ PORTS = ("-1", "0", "65536", "99999999999", "nan", "true", "'x'")
 COSTS = ("-1", "1" + "0" * 400, "1e300", "nan", "inf", "true", "'x'", "[]")
 WRONG = [
     *((retention, "retention.toml", f"keep_days = {value}", r"retention\.toml") for value in ABSURD),
-    *((retention, "retention.toml", f"dagster_history_days = {value}", "dagster_history_days is") for value in ABSURD),
+    *((retention, "retention.toml", f"dagster_history_days = {value}", r"retention\.toml") for value in ABSURD),
     *((retention, "retention.toml", f"hold = {value}", r"retention\.toml: hold") for value in NIGHTS),
     *((receivers_of, "notify.toml", f"{MAIL}port = {value}", "port") for value in PORTS),
     *((receivers_of, "notify.toml", text, r"notify\.toml") for text in RECEIVERS),
