@@ -2,7 +2,8 @@
 
 Dagster's own `delete_run` deletes a run's materializations, too: cells that no later run made then show as missing, and
 a backfill of missing cells makes them again. Here the last materialization of each partition remains in the index under
-its id, as an event of no run, with its time and no more. A run that holds the last state of anything remains whole.
+its id, as an event of no run, with its time and the versions by which Dagster tells stale cells. A run that holds the
+last state of anything remains whole.
 
 Every step can be repeated. A run is deleted from the list of runs last, so a killed process leaves it to the next.
 """
@@ -186,11 +187,11 @@ def _short_events_before(conn: Connection, own: ColumnElement[bool]) -> list[int
 
 
 def _short_row(row: Any) -> dict[str, Any]:
-    """Return the row of an event of no run that has a materialization's id, time and partition."""
+    """Return the row of an event of no run with a materialization's id, time, partition and versions."""
     content = json.loads(row.event)
     event = content["dagster_event"]
     whole = event["event_specific_data"]["materialization"]
-    materialization = {name: whole[name] for name in ("__class__", "asset_key", "partition")}
+    materialization = {name: whole[name] for name in ("__class__", "asset_key", "partition", "tags")}
     short = {
         "__class__": content["__class__"],
         "dagster_event": {

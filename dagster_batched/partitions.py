@@ -242,7 +242,6 @@ class EventGroup:
 
 _NUMBERS = "numbers"
 _ENTRY = '{"__class__":"EventMetadataEntry","label":%s,"entry_data":{"__class__":"IntMetadataEntryData","value":%d}}'
-_INPUT_TAGS = "dagster/input_"  # versions of whole inputs, the same for all cells of a run
 _FIRST_ONLY = ("step_handle", "solid_handle", "message", "logging_tags", "pid", "step_kind_value")
 """Fields of an event that Dagster accepts as missing; the step's key is in the row too."""
 
@@ -259,8 +258,6 @@ def _without_details(event: str) -> dict[str, Any]:
     materialization = content["dagster_event"]["event_specific_data"].get("materialization")
     if materialization:
         materialization["metadata_entries"] = _NUMBERS
-        tags = materialization.get("tags") or {}
-        materialization["tags"] = {k: v for k, v in tags.items() if not k.startswith(_INPUT_TAGS)}
         content["dagster_event"]["event_specific_data"] = {
             "__class__": "StepMaterializationData",
             "materialization": {k: v for k, v in materialization.items() if v is not None},

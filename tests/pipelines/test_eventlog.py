@@ -152,8 +152,6 @@ def bare(event: str) -> str:
     record["dagster_event"] = {k: v for k, v in record["dagster_event"].items() if k not in once}
     data = record["dagster_event"]["event_specific_data"]
     data["materialization"]["metadata_entries"] = []
-    tags = data["materialization"]["tags"].items()
-    data["materialization"]["tags"] = {k: v for k, v in tags if not k.startswith("dagster/input_")}
     data["materialization"] = {k: v for k, v in data["materialization"].items() if v}
     record["dagster_event"]["event_specific_data"] = {k: v for k, v in data.items() if v}
     return json.dumps(record)

@@ -131,10 +131,10 @@ def test_cells_stay_materialized(instance):
     assert materialized(instance) == before == {"A|1", "A|2", "B|1", "B|2", "A|3"}
 
 
-def test_cells_last_event_has_its_id_and_time(instance):
-    def events() -> dict[str, tuple[int, float]]:
+def test_cells_last_event_has_its_id_time_and_versions(instance):
+    def events() -> dict[str, tuple[int, float, dict[str, str]]]:
         records = instance.fetch_materializations(cells.key, limit=10).records
-        return {r.partition_key: (r.storage_id, r.timestamp) for r in records}
+        return {r.partition_key: (r.storage_id, r.timestamp, r.asset_materialization.tags) for r in records}
 
     make(instance, cells, "A|1", "B|2")
     make(instance, cells, "A|3")
