@@ -82,7 +82,7 @@ def forget_runs(instance: dg.DagsterInstance, before: datetime, most_events: int
 
 
 def compact_files(instance: dg.DagsterInstance) -> None:
-    """Rewrite SQLite's shared files without free pages: an index of 100 MB takes half a second, and as much of the disk.
+    """Rewrite SQLite's shared files without free pages: 100 MB take half a second, and as much of the disk.
 
     From then on the index returns free pages bit by bit, as one does that this version has created.
     """
