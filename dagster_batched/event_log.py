@@ -165,7 +165,7 @@ class CoalescingEventLog(SqlEventLogStorage):
             plan = event.get_dagster_event()  # the run's tags name its range; repeating its keys takes 100 kB
             data = AssetMaterializationPlannedData(plan.asset_materialization_planned_data.asset_key, partitions[0])
             event = event._replace(dagster_event=plan._replace(event_specific_data=data))
-        return EventGroup(event, self._event_to_row(event), partitions, numbers)
+        return EventGroup(event, self._event_to_row(event), self._tags_for_asset_event(event), partitions, numbers)
 
 
 def _move_check_last(conn: Connection, event: EventLogEntry) -> None:
@@ -193,6 +193,7 @@ _COMMON = "run_id, dagster_event_type, step_key, asset_key"
 # bound values take half the time of copying the first row within SQLite
 _SELECT_FIRST = f"select {_COMMON} from event_logs where id = ?"
 _INSERT_OTHER = f"insert into event_logs ({_COMMON}, timestamp, partition, event) values (?, ?, ?, ?, ?, ?, ?)"
+_INSERT_TAG = "insert into asset_event_tags (event_timestamp, asset_key, event_id, key, value) values (?, ?, ?, ?, ?)"
 
 
 def _close_files(engines: dict[str, Engine]) -> None:
@@ -310,6 +311,9 @@ class BatchedSqliteEventLogStorage(CoalescingEventLog, SqliteEventLogStorage):
             times = [f"{o.at:%Y-%m-%d %H:%M:%S.%f}" for o in others]
             rows = [(*common, at, o.partition, o.event) for o, at in zip(others, times, strict=True)]
             conn.exec_driver_sql(_INSERT_OTHER, rows)
+            numbers = enumerate(zip(others, times, strict=True), first + 1)
+            if tags := [(at, common.asset_key, i, *tag) for i, (o, at) in numbers for tag in o.tags.items()]:
+                conn.exec_driver_sql(_INSERT_TAG, tags)
         return first + len(others)
 
 

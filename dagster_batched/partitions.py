@@ -190,10 +190,11 @@ APART_S = 0.001
 
 
 class Other(NamedTuple):
-    """An event of a group beside its first: partition, Dagster's own text, time. Its tags are in its text alone."""
+    """An event of a group beside its first: partition, Dagster's own text, tags, time."""
 
     partition: str
     event: str
+    tags: Mapping[str, str]
     at: datetime
 
 
@@ -206,6 +207,7 @@ class EventGroup:
 
     event: EventLogEntry
     row: dict[str, Any]
+    tags: Mapping[str, str]
     partitions: Sequence[str | None]
     numbers: Sequence[Mapping[str, int]] = ()
 
@@ -222,7 +224,7 @@ class EventGroup:
                 values = {key: _quoted(value) for key, value in own.items()} | {
                     "partition": _quoted(partition), "timestamp": repr(then_s), _NUMBERS: self._numbers(i)
                 }  # fmt: skip
-                yield Other(partition, pattern % values, _table_time(then_s))
+                yield Other(partition, pattern % values, self.tags and {**self.tags, **own}, _table_time(then_s))
 
     def _pattern(self) -> str:
         """Turn the first event's text into a template for the others."""

@@ -24,7 +24,13 @@ _INSERT_OTHERS = text(
     " select run_id, o.event, dagster_event_type, o.at, step_key, asset_key, o.partition"
     " from event_logs, unnest(cast(:events as text[]), cast(:partitions as text[]), cast(:times as timestamp[]))"
     " as o (event, partition, at)"
-    " where id = :first returning id"
+    " where id = :first returning id, partition"
+)
+_INSERT_TAGS = text(
+    "insert into asset_event_tags (event_id, asset_key, key, value, event_timestamp)"
+    " select o.id, e.asset_key, o.key, o.value, e.timestamp from event_logs as e"
+    " join unnest(cast(:ids as bigint[]), cast(:keys as text[]), cast(:values as text[])) as o (id, key, value)"
+    " using (id)"
 )
 
 
@@ -70,6 +76,11 @@ class BatchedPostgresEventLogStorage(CoalescingEventLog, PostgresEventLogStorage
         others = list(one.others())
         if not others:
             return first
-        partitions, events, times = (list(column) for column in zip(*others, strict=True))
+        partitions, events, tags, times = (list(column) for column in zip(*others, strict=True))
         values = {"events": events, "partitions": partitions, "times": times, "first": first}
-        return int(max(conn.execute(_INSERT_OTHERS, values).scalars()))
+        ids = {partition: int(event_id) for event_id, partition in conn.execute(_INSERT_OTHERS, values)}
+        rows = [(ids[p], key, value) for p, own in zip(partitions, tags, strict=True) for key, value in own.items()]
+        if rows:
+            event_ids, keys, texts = (list(column) for column in zip(*rows, strict=True))
+            conn.execute(_INSERT_TAGS, {"ids": event_ids, "keys": keys, "values": texts})
+        return max(ids.values())

@@ -132,7 +132,7 @@ def shape(log: Log):
         "asset_keys": "select asset_key, last_materialization is not null, last_run_id is not null, wipe_timestamp"
         " from asset_keys",
         "asset_event_tags": "select asset_key, key, count(*), count(distinct event_id) from asset_event_tags"
-        " where asset_key <> '[\"third\"]' group by 1, 2",
+        " group by 1, 2",
         "asset_check_executions": "select asset_key, check_name, partition, execution_status, count(*)"
         " from asset_check_executions group by 1, 2, 3, 4",
         "dynamic_partitions": "select partitions_def_name, partition from dynamic_partitions",
