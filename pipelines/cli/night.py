@@ -129,9 +129,9 @@ def tidy(
         typer.Option("--keep-days", min=0, max=MAX_DAYS, help="Keep runs younger than this; the home's. [days]"),
     ] = None,
 ) -> None:
-    """Delete all old runs, or a damaged file, of Dagster's history at once, and make its files as small as they can be.
+    """Delete old runs, or a damaged file, of Dagster's history.
 
-    A night deletes some. Tables are not touched, nothing is computed again, and Dagster's page shows the same cells as
+    A night deletes some; this deletes all at once, and makes the files as small as they can be. Tables are not touched, nothing is computed again, and Dagster's page shows the same cells as
     materialized.
     """
     from dagster_batched.history import compact_files, forget_runs
