@@ -131,8 +131,8 @@ def tidy(
 ) -> None:
     """Delete old runs, or a damaged file, of Dagster's history.
 
-    A night deletes some; this deletes all at once, and makes the files as small as they can be. Tables are not touched, nothing is computed again, and Dagster's page shows the same cells as
-    materialized.
+    A night deletes some; this deletes all at once, and makes the files as small as they can be. Tables are not touched,
+    nothing is computed again, and Dagster's page shows the same cells as materialized.
     """
     from dagster_batched.history import compact_files, forget_runs
     from pipelines.orchestration.around_night import lock_home
