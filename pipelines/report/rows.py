@@ -108,7 +108,9 @@ class UnitRow:
         doubtful = _("the part was found clean: doubtful") if self["is_contradicted"] and not clean_on else ""
         other_part = _("flights left are the compressor's") if self["outlook_component"] == "CC" else ""
         state = words.case_state(self.values)
-        notes = (doubtful, other_part, words.work_done(self.values), clean, words.switched_off(self.values), state)
+        unseen = words.not_seen(self.values)
+        off = words.switched_off(self.values)
+        notes = (doubtful, other_part, words.work_done(self.values), clean, off, unseen, state)
         return [note for note in notes if note]
 
     def action(self) -> str:

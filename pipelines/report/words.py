@@ -19,7 +19,8 @@ from pipelines.words import _, format_count, number, several
 Row = Mapping[str, Any]
 URGENCY = {"act": "Act now", "plan": "Plan", "none": "No action", "unknown": "Not known"}
 """Labels of urgency, in the order of every output."""
-REASONS = {**FIRST_LEVEL, **SECOND_LEVEL}
+NO_ROWS = {"NO_ROWS": "the flights hold no row of this pack"}
+REASONS = {**FIRST_LEVEL, **SECOND_LEVEL, **NO_ROWS}
 PARTS = {**{c.code: c.name for c in components().values()}, "RAM_DOOR": "ram air door", "SENSOR": "sensor"}
 DECLARED = {c.code for c in recorded_components().values()}
 SIDES = {1: "left", 2: "right"}
@@ -95,6 +96,13 @@ def _unknown(rows: list[Row], missing: str) -> str:
         day=day(since),
         missing=missing,
     )
+
+
+def not_seen(row: Row) -> str:
+    """Format since when no flight moved the estimate, and why; empty where one did."""
+    if row.get("missing_since") is None:
+        return ""
+    return _("no estimate since {day}{missing}", day=day(row["missing_since"]), missing=_missing(row))
 
 
 def _missing(row: Row) -> str:

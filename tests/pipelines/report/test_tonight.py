@@ -79,6 +79,11 @@ def test_recent_work_is_named(facts):
     assert "cleaned 2024-07-01, no flight since" in row["notes"]
 
 
+def test_row_without_new_estimates_is_marked(facts):
+    row = first_screen(facts, missing_since=dt.date(2024, 7, 1), missing_reason="NO_ROWS", missing_columns=None)
+    assert "no estimate since 2024-07-01; the flights hold no row of this pack" in row["notes"]
+
+
 FOULING = {
     "diagnosis": "HX_FOULING", "component": "HX", "units_in_90_days": 1, "action_phrases": stored_action("Wash it"),
     "choice": "wash",
