@@ -156,7 +156,7 @@ STAGES = (
         batch_factor=1,
     ),
     declare_stage(
-        "record", "record", HELD, parents=("raw_flights",), judged=True, code="3", label="judgement of the record",
+        "record", "record", HELD, parents=("raw_flights",), judged=True, code="4", label="judgement of the record",
     ),
     declare_stage(
         "legs", "legs", "legs_samples", "legs_verdicts", "legs_channels", parents=("raw_flights", HELD), code="7",

@@ -121,6 +121,7 @@ MANY_TO_MANY = {
     "hdt_core/prognosis/feature_rows.py": "a flight meets every unit that its pack was known to have",
     "hdt_core/prognosis/unit_lives.py": "a life meets every message of its pack, a message every sound inspection",
     "hdt_core/record/misfiled.py": "a flight unlike its aircraft's meets every other aircraft of its operator",
+    "hdt_core/record/two_aircraft.py": "a break of an aircraft meets every other aircraft of its operator",
     "hdt_core/record/two_operators.py": "a flight meets every other operator of its tail",
     "hdt_core/records/unit_index.py": "an entry of the log meets every flight of its pack",
     "pipelines/intake/kept_lines.py": "missing work meets the first and the last line of a log, of the same work",

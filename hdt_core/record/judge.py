@@ -15,6 +15,7 @@ from hdt_core.record.flow_unit import in_other_unit
 from hdt_core.record.misfiled import misfiled
 from hdt_core.record.overlap import overlapping
 from hdt_core.record.reach import out_of_reach
+from hdt_core.record.two_aircraft import of_two_aircraft
 from hdt_core.record.two_operators import of_two_operators
 from hdt_core.records.keys import AIRCRAFT, FLIGHT
 from hdt_core.tables.raw import RecordHeld
@@ -60,6 +61,7 @@ def judge_flights(flights: pl.DataFrame, delivered_on: pl.DataFrame, now: dateti
         overlapping,
         lambda own: _out_of_reach(own, delivered_on),
         in_other_unit,
+        of_two_aircraft,
         exchanged_packs,
         misfiled,
         _contradicted,

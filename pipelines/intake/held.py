@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from hdt_core.record.two_operators import CAUSE
+from hdt_core.record import two_aircraft, two_operators
 from pipelines.intake.faults import REASONS, limit_lines
 from pipelines.words import _, several
 
@@ -11,10 +11,14 @@ if TYPE_CHECKING:
     import duckdb
 
 HELD_GROUPS = """
-select operator, tail, reason, likely_cause, count(*) as n, min_by(flight_id, departed_at) as flight_id
+select operator, tail, reason, likely_cause, count(*) as n,
+    min_by(flight_id, departed_at) as flight_id, min_by(other_flight_id, departed_at) as other_flight_id
 from held_flights group by all order by n desc, operator, tail, reason, likely_cause
 """
-HELD_FLIGHTS = "select operator, tail, reason, likely_cause, 1 as n, flight_id from held_flights order by all"
+HELD_FLIGHTS = """
+select operator, tail, reason, likely_cause, 1 as n, flight_id, other_flight_id
+from held_flights order by all
+"""
 
 
 def held_flights(con: "duckdb.DuckDBPyConnection", query: str = HELD_FLIGHTS) -> list[dict[str, Any]]:
@@ -33,8 +37,21 @@ def describe_held(group: Mapping[str, Any]) -> str:
     flights = several("{n} flight", "{n} flights", group["n"])
     first = _("{flights} from {first} on", flights=flights, first=group["flight_id"])
     name = first if group["n"] > 1 else group["flight_id"]
-    cause = _("Likely cause: {cause}.", cause=cause_in_words(group["likely_cause"])) if group["likely_cause"] else ""
+    cause = _("Likely cause: {cause}.", cause=_cause_of(group)) if group["likely_cause"] else ""
     return f"{name}. {REASONS[group['reason']].sentence} {cause}".rstrip()
+
+
+def _cause_of(group: Mapping[str, Any]) -> str:
+    """Name the likely cause of held flights, with both aircraft where two were exchanged."""
+    cause = group["likely_cause"]
+    if not cause.startswith(two_aircraft.CAUSE):
+        return cause_in_words(cause)
+    return _(
+        "recorders of {tail} and {other} exchanged; in {other}'s record they follow {before}",
+        tail=group["tail"],
+        other=cause.removeprefix(two_aircraft.CAUSE),
+        before=group["other_flight_id"],
+    )
 
 
 _NEW_FLIGHTS = """
@@ -56,8 +73,8 @@ def clock_fault(con: "duckdb.DuckDBPyConnection", new_files: Iterable[str]) -> s
 
 def cause_in_words(cause: str) -> str:
     """Name a likely cause."""
-    if cause.startswith(CAUSE):
-        return _("{operator} delivered the flights too", operator=cause.removeprefix(CAUSE))
+    if cause.startswith(two_operators.CAUSE):
+        return _("{operator} delivered the flights too", operator=cause.removeprefix(two_operators.CAUSE))
     return {
         "week_rollover": _("the week number of GPS began anew, 1,024 weeks"),
         "year": _("another year"),

@@ -22,6 +22,11 @@ ONE = {"operator": "AQX", "tail": "LX-AAA", "reason": "out_of_reach", "likely_ca
             ONE | {"reason": "copy_of_flight", "likely_cause": "operator_BZR"},
             f"AQX LX-AAA: F. {REASONS['copy_of_flight'].sentence} Likely cause: BZR delivered the flights too.",
         ),
+        (
+            ONE | {"reason": "misfiled", "likely_cause": "aircraft_LX-AAB", "other_flight_id": "B"},
+            f"AQX LX-AAA: F. {REASONS['misfiled'].sentence} Likely cause: recorders of LX-AAA and LX-AAB exchanged; "
+            "in LX-AAB's record they follow B.",
+        ),
         (ONE | {"reason": "no_flight", "likely_cause": None}, f"AQX LX-AAA: F. {REASONS['no_flight'].sentence}"),
     ],
 )
