@@ -111,7 +111,7 @@ def _open(model: PhysicsModel, free: Sequence[str]) -> list[str]:
 def _parameter(param: Param, i: int, prior: Belief | None) -> dict[str, Any]:
     row: dict[str, Any] = {"parameterId": param.name, "parameterScale": "lin"}
     row |= {"lowerBound": param.bounds[0], "upperBound": param.bounds[1], "estimate": 1}
-    row["nominalValue"] = param.nominal if prior is None else prior.mean[i]
+    row["nominalValue"] = param.nominal if prior is None else float(np.clip(prior.mean[i], *param.bounds))
     if prior is not None:
         has_prior = np.isfinite(prior.cov[i, i])
         row["objectivePriorType"] = "normal" if has_prior else ""
@@ -165,12 +165,14 @@ def read_petab(path: Path) -> Problem:
         The extra is not installed.
     ValueError
         It has what is not read here: reactions, other scales than linear, noise other than normal with a number for
-        sigma, other priors, states under several conditions or at times that are not evenly spaced.
+        sigma, other priors, states under several conditions or at times that are not evenly spaced. Or a nominal value
+        lies outside its bounds, as one in another unit does.
     """
     _libsbml()
     from petab.v1 import Problem as Petab
 
     petab = Petab.from_yaml(str(path))
+    _check_nominal(petab.parameter_df, path)
     free, prior = _free(petab)
     model = _model(petab, free)
     conditions = list(petab.condition_df.index)
@@ -187,6 +189,17 @@ def read_petab(path: Path) -> Problem:
         measured[row.observableId][at] = row.measurement
     step = float(times[1] - times[0]) if model.states else 1.0
     return declared_problem(model, [p.name for p in free], inputs, measured, prior=prior, dt_s=step)
+
+
+def _check_nominal(table: Any, path: Path) -> None:
+    """Refuse a nominal value that its own bounds rule out: what is clipped to a bound looks like a fit."""
+    for line, row in enumerate(table.reset_index().to_dict("records"), start=2):
+        value, low, high = (float(row[name]) for name in ("nominalValue", "lowerBound", "upperBound"))
+        if value < low or value > high:
+            raise ValueError(
+                f"{path}: parameter table, line {line}, nominalValue: {row['parameterId']} is {value:g}, "
+                f"outside its bounds {low:g} to {high:g}"
+            )
 
 
 def _free(petab: Any) -> tuple[list[Param], Belief]:

@@ -142,6 +142,22 @@ def test_pypesto_reproduces_fit(tmp_path):
     assert chi2 == pytest.approx(ours.fit.chi2, rel=1e-9)
 
 
+@pytest.mark.parametrize("value", [120.0, -1.0])
+def test_nominal_outside_bounds_is_refused(tmp_path, value):
+    """A size in another unit is named with file, line and column."""
+    path = files(tmp_path, STATIC, ["conductance_kg_s"], static_record())
+    from hdt_petab import read_petab
+
+    (table,) = path.parent.glob("*arameters*.tsv")
+    header, line = table.read_text().splitlines()
+    cells = line.split("\t")
+    cells[header.split("\t").index("nominalValue")] = str(value)
+    table.write_text("\n".join([header, "\t".join(cells), ""]))
+
+    with pytest.raises(ValueError, match=rf"line 2, nominalValue: conductance_kg_s is {value:g}, outside its bounds"):
+        read_petab(path)
+
+
 def test_correlated_prior_is_refused(tmp_path):
     tilted = Belief(PRIOR.mean, np.array([[0.25, 0.1], [0.1, 4.0]]))
     with pytest.raises(ValueError, match="no correlations"):
