@@ -221,36 +221,21 @@ def _shift_cases(
     for part, checks in NEW_WITH.items():
         part_repair = grid.worked_on(maintenance, (part,), REPAIR)
         with_part |= part_repair[:, :, None] & np.array([c.name in checks for c in CHANNELS])
-    evidence = _watch_checks(grid, values, new | with_part)
-    cases = _isolate_sensors(evidence)
-    # work on a part repairs no sensor: a case that it ended goes on against the level before the fault
-    ended = [(c.unit, c.closed_flight) for c in cases if c.closed_flight is not None]
-    interrupted = [at for at in ended if at[1] < new.shape[1] and with_part[at].any()]
-    if interrupted:
-        units, flights = np.array(interrupted).T
-        with_part[units, flights] = False
-        evidence = _watch_checks(grid, values, new | with_part)
-        cases = _isolate_sensors(evidence)
-    return _merge_cases(cases, evidence)
-
-
-def _watch_checks(grid: Grid, values: Array, new: Array) -> Indications:
-    """Detect the shifts of the cross checks; `new`: where a level begins anew. (units, flights, checks)"""
-    shift = watch(values, np.array([c.sd for c in CHANNELS]), new)
-    return Indications(grid, shift, grid.values("hx_fouling_flight"), grid.partner())
-
-
-def _isolate_sensors(evidence: Indications) -> list[Case]:
-    """Return a case for each shift that one sensor explains."""
-    alarm = evidence.shift.alarm
+    sds = np.array([c.sd for c in CHANNELS])
+    shift = watch(values, sds, new | with_part)
+    # work on a part repairs no sensor: a shift that has begun goes on against the level before it
+    has_begun = np.pad(shift.alarm, ((0, 0), (1, 0), (0, 0)))[:, :-1]
+    if (has_begun & with_part).any():
+        shift = watch(values, sds, new | (with_part & ~has_begun))
+    evidence = Indications(grid, shift, grid.values("hx_fouling_flight"), grid.partner())
     cases = []
     for channel in range(len(CHANNELS)):
-        for unit, first, end in runs(alarm[:, :, channel], np.zeros_like(alarm[:, :, channel])):
+        for unit, first, end in runs(shift.alarm[:, :, channel], np.zeros_like(restart)):
             if (isolation := evidence.isolate(channel, (unit, first, end))) is not None:
                 flight, facts = isolation
                 case = Case(unit, "SENSOR", "SENSOR_FAULT", flight, end, facts | {"since": first, "kind": "shift"})
                 cases += [case, *_shared_case(evidence, case)]
-    return cases
+    return _merge_cases(cases, evidence)
 
 
 def _shared_case(evidence: Indications, case: Case) -> list[Case]:

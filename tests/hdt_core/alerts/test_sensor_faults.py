@@ -102,8 +102,8 @@ INLET["hx_fouling_flight"] = 0.08 * LATE + 0.016 * np.random.default_rng(9).stan
 """Checks of a hot inlet that reads 10 K low from flight 50 on."""
 
 
-@pytest.mark.parametrize(("component", "closed"), [("HX", None), ("SENSOR", 70)])
-def test_wash_repairs_no_sensor(component, closed):
+@pytest.mark.parametrize(("component", "closed"), [("HX", None), ("CC", None), ("SENSOR", 70)])
+def test_work_on_parts_repairs_no_sensor(component, closed):
     (case,) = mach_cases(work_before(70, component), **INLET)
     assert (case.facts["sensor"], case.closed_flight) == ("hx_in_k", closed)
 
